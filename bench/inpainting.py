@@ -105,7 +105,7 @@ def _measured(folder: Path, steps: int, report: Callable[[str], None], objects: 
 def _trained(folder: Path, steps: int, report: Callable[[str], None]) -> tuple:
     """The capture, its photographs, and the Gaussians trained to them, with the ids of its objects."""
     from prepare.segment.object_ids import identified, masks_of
-    from prepare.train.capture import read_capture
+    from prepare.train.capture_files import read_capture
     from prepare.train.photographs import load_photographs
     from prepare.train.seeds import seeds, with_background
     from prepare.train.train_options import CAPS, TrainOptions

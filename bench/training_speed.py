@@ -68,7 +68,7 @@ def training_options(args, options: TrainOptions, text: str) -> TrainOptions:
 
 def read_training_capture(path: Path, reduce: int, test_every: int) -> tuple:
     """The upright capture, its photographs to learn from, and those kept for the test. Raises BadInput."""
-    from prepare.train.capture import read_capture
+    from prepare.train.capture_files import read_capture
     from prepare.train.photographs import kept_for_test, load_photographs
 
     capture = read_capture(path).upright()

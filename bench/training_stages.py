@@ -5,7 +5,7 @@ from time import perf_counter
 import taichi as ti
 
 from prepare.train.image_loss import DSSIM_WEIGHT
-from prepare.train.optimizer import BETA1, BETA2
+from prepare.train.train_options import BETA1, BETA2
 
 
 @ti.data_oriented

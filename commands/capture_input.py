@@ -21,9 +21,8 @@ from prepare.room_capture.stages import Stages, file_key
 from prepare.segment.marks import Marks, read_marks
 from prepare.segment.mask_files import photograph_size, read_masks
 from prepare.segment.object_ids import masks_beside
-from prepare.train.capture import Capture, View, checked, read_capture
-from prepare.train.colmap_model import read_colmap
-from prepare.train.lens import Lens
+from prepare.train.capture import Capture, Lens, View
+from prepare.train.capture_files import checked, read_capture, read_colmap
 from prepare.train.structure_from_motion import (
     find_poses,
     image_folder,

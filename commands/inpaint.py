@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _cameras(args: argparse.Namespace) -> tuple[list | None, list]:
     """Cameras of the capture, None without one, and the photographs of the truth, none without it. Raises BadInput."""
-    from prepare.train.capture import read_capture
+    from prepare.train.capture_files import read_capture
     from prepare.train.photographs import load_photograph
 
     if args.capture is None:

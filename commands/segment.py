@@ -95,7 +95,7 @@ def segment_capture(args: argparse.Namespace) -> None:
     )
     from prepare.segment.mask_propagation import propagate_marks
     from prepare.segment.picture_cut import grab_cut
-    from prepare.train.capture import read_capture
+    from prepare.train.capture_files import read_capture
     from prepare.train.photographs import load_photograph
 
     check_masks_folder(args.out)

@@ -137,7 +137,7 @@ def _trained(args: argparse.Namespace, capture, train: list, objects: list[str])
     trainer, about = _trainer(args, capture, train, objects)
     kept = _checkpoint(args)
     if args.checkpoint_every and kept.is_file() and not args.fresh:
-        from prepare.train.checkpoint import read_checkpoint
+        from prepare.train.trainer import read_checkpoint
 
         trainer.restore(read_checkpoint(kept, about, len(train)))
         print(f"resuming from step {trainer.done} ({kept}; --fresh starts over)", file=sys.stderr)
@@ -198,7 +198,7 @@ def _objects(args: argparse.Namespace, trainer, test: list, gaussians) -> dict:
 
 def is_posed(path: Path) -> bool:
     """True for a capture with poses; False for photographs alone or a video."""
-    from prepare.train.colmap_model import find_colmap_model
+    from prepare.train.capture_files import find_colmap_model
     from prepare.train.structure_from_motion import VIDEOS, image_folder, photographs_in
 
     if path.is_file():
@@ -209,8 +209,7 @@ def is_posed(path: Path) -> bool:
 
 def posed_capture(args: argparse.Namespace):
     """The capture; for photographs or a video without poses these are found first, and kept beside the output."""
-    from prepare.train.capture import checked, read_capture
-    from prepare.train.colmap_model import read_colmap
+    from prepare.train.capture_files import checked, read_capture, read_colmap
     from prepare.train.structure_from_motion import find_poses, image_folder, photographs_in, sharpest_frames
 
     path, beside = args.capture, args.out.with_name(f"{args.out.name}.poses")
@@ -312,7 +311,7 @@ class _Progress:
             _tell(self.text, end=trainer.done == steps)
             self._told = time.perf_counter()
         if self._kept is not None and trainer.done % self._every == 0 and trainer.done < steps:
-            from prepare.train.checkpoint import write_checkpoint
+            from prepare.train.trainer import write_checkpoint
 
             write_checkpoint(self._kept, trainer.state(), self._about)
 

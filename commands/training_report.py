@@ -51,7 +51,7 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
 
 def _perceptual(numbers: dict, trainer, test: list) -> str:
     """Add the mean LPIPS of the held-out photographs to the numbers; returns a sentence about it."""
-    from prepare.train.perceptual import SIDE_MIN, lpips_distance
+    from prepare.train.image_loss import SIDE_MIN, lpips_distance
 
     if not test:
         return ""

@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> None:
 
 def build_capture(args: argparse.Namespace) -> None:
     """Photograph the modelled toys into `args.capture`. Raises BadInput."""
-    from prepare.train.capture import VIEWS_MIN
+    from prepare.train.capture_files import VIEWS_MIN
     from studio.procedural_capture import CaptureOptions, write_procedural_capture
 
     if args.names:

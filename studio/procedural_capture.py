@@ -22,9 +22,8 @@ from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from prepare.segment.marks import write_marks
 from prepare.segment.mask_files import Masks, object_colors, write_masks
-from prepare.train.capture import View
-from prepare.train.lens import Lens
-from prepare.train.transforms_json import OPENGL_TO_OPENCV
+from prepare.train.capture import Lens, View
+from prepare.train.capture_files import OPENGL_TO_OPENCV
 from studio.attic.boxes import SIZES, parcel
 from studio.ball import RADIUS, bands
 from studio.childrens_room.bed_and_tent import furniture

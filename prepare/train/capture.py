@@ -1,4 +1,4 @@
-"""A capture: photographs, the cameras that took them, and sparse points of the scene."""
+"""A capture: photographs, the lenses and cameras that took them, and sparse points of the scene."""
 
 from __future__ import annotations
 
@@ -7,17 +7,134 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import rotation_between
 from prepare.orientation.camera_up import up_of_cameras
-from prepare.train.lens import Lens
 
-VIEWS_MIN = 3  # two views always agree on some depth of a point; a third one checks it
-ORTHONORMAL_TOLERANCE = 1e-2  # of rotations in files, which are rounded; they are made exact
-SPREAD_MIN = 1e-6  # spread of the cameras relative to their distance from the origin; below it they stand in one place
+SIDE_MAX = 16384  # [px]
+ASPECT_TOLERANCE = 0.01  # between an image and its camera: sizes of reduced copies are rounded
 EXTENT_MARGIN = 1.1  # factor on the distance of the farthest camera from their centre, as in 3DGS
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Image size and intrinsics [px], pixel centres at +0.5, and OpenCV's distortion.
+
+    distortion  k1, k2, p1, p2, k3, ... as OpenCV orders them; with `fisheye` k1 to k4 of its fisheye model
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    def check(self, where: str) -> None:
+        """Raise BadInput, naming `where`, unless the numbers describe a possible lens."""
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.isfinite(numbers).all() or not (0 < self.width <= SIDE_MAX and 0 < self.height <= SIDE_MAX):
+            raise BadInput(f"{where}: the camera's size or intrinsics are no finite positive numbers")
+        if not all(1e-2 * side < f < 1e4 * side for f, side in ((self.fx, self.width), (self.fy, self.height))):
+            raise BadInput(
+                f"{where}: a focal length of {self.fx:g} x {self.fy:g} pixels does not fit {self.width}x{self.height}"
+            )
+
+    @property
+    def distorts(self) -> bool:
+        """True if there is any distortion."""
+        return self.fisheye or any(k != 0.0 for k in self.distortion)
+
+    def resized(self, width: int, height: int, where: str) -> Lens:
+        """The same lens for an image of another size. Raises BadInput, naming `where`, if its aspect ratio differs."""
+        sx, sy = width / self.width, height / self.height
+        if abs(sx / sy - 1.0) > ASPECT_TOLERANCE:
+            raise BadInput(f"{where}: the image is {width}x{height}, its camera {self.width}x{self.height}")
+        return replace(
+            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
+        )
+
+    def matrix(self) -> np.ndarray:
+        """Intrinsics (3, 3) with pixel centres at whole numbers, as OpenCV wants them."""
+        return np.array([[self.fx, 0.0, self.cx - 0.5], [0.0, self.fy, self.cy - 0.5], [0.0, 0.0, 1.0]])
+
+    def pinhole(self) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy of the undistorted image: those of the lens, but a fisheye's, which keeps its middle half."""
+        if not self.fisheye:
+            return self.fx, self.fy, self.cx, self.cy
+        import cv2
+
+        size = (self.width, self.height)
+        k = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
+            self.matrix(), self._coefficients(), size, np.eye(3), balance=0.0
+        )
+        return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]) + 0.5, float(k[1, 2]) + 0.5
+
+    def undistort(self, pixels: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (H, W, 3) and mask (H, W) bool as a pinhole camera sees them.
+
+        Pixels that the photograph does not cover are outside the mask: trained as black they would cost much quality.
+        """
+        if not self.distorts:
+            return pixels, mask
+        import cv2
+
+        along, down = self._photographed_places()
+        out = cv2.remap(pixels, along, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        # a pixel counts if all that it is interpolated from was photographed
+        whole = cv2.remap(mask.astype(np.float32), along, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return out, whole > 0.999
+
+    def undistort_labels(self, labels: np.ndarray) -> np.ndarray:
+        """Labels (H, W) uint8 of the photograph's pixels as a pinhole camera sees them; 0 outside the photograph."""
+        if not self.distorts:
+            return labels
+        import cv2
+
+        return cv2.remap(labels, *self._photographed_places(), cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+
+    def distort_labels(self, labels: np.ndarray) -> np.ndarray:
+        """Labels (H, W) uint8 of the pinhole camera's pixels as the lens sees them; 0 outside the pinhole image."""
+        if not self.distorts:
+            return labels
+        import cv2
+
+        down, along = np.mgrid[: self.height, : self.width]
+        places = self.undistort_points(np.stack([along, down], -1).reshape(-1, 2) + 0.5) - 0.5
+        places = np.where(np.isfinite(places), places, -2.0).clip(-2.0, SIDE_MAX + 2.0).astype(np.float32)
+        places = places.reshape(self.height, self.width, 2)
+        return cv2.remap(labels, places, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+
+    def undistort_points(self, points: np.ndarray) -> np.ndarray:
+        """Places (N, 2) [px] in the pinhole camera's image of places in the photograph."""
+        if not self.distorts:
+            return points
+        import cv2
+
+        fx, fy, cx, cy = self.pinhole()
+        new = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        old = np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
+        points = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2)
+        return undistort(points, old, self._coefficients(), R=np.eye(3), P=new).reshape(-1, 2)
+
+    def _photographed_places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Places in the photograph of the pinhole camera's pixels, along and down, (H, W) float32 each."""
+        import cv2
+
+        fx, fy, cx, cy = self.pinhole()
+        new = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
+        size, k = (self.width, self.height), self._coefficients()
+        rectify = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
+        along, down = rectify(self.matrix(), k, np.eye(3), new, size, cv2.CV_32FC1)
+        return along, down
+
+    def _coefficients(self) -> np.ndarray:
+        count = 4 if self.fisheye else 8
+        return np.array([*self.distortion, *[0.0] * count][:count], np.float64)
 
 
 @dataclass(frozen=True)
@@ -84,67 +201,3 @@ class Capture:
         places = np.array([v.position for v in self.views])
         matrix, right = across.sum(axis=0), np.einsum("nij,nj->i", across, places)
         return np.linalg.solve(matrix, right) if np.linalg.cond(matrix) < 1e6 else self.middle
-
-
-def read_capture(path: str | Path) -> Capture:
-    """The capture in a folder, or of a transforms.json: nerfstudio, instant-ngp or COLMAP (text or binary).
-
-    Raises BadInput, which names the fault and a remedy.
-    """
-    from prepare.train.colmap_model import find_colmap_model, read_colmap
-    from prepare.train.transforms_json import read_transforms
-
-    path = Path(path)
-    if path.is_file():
-        if path.suffix.lower() != ".json":
-            raise BadInput(
-                f"{path}: a capture is a folder with transforms.json or a COLMAP model, or a transforms.json"
-            )
-        return checked(read_transforms(path))
-    if not path.is_dir():
-        raise BadInput(f"{path}: no such folder")
-    if (path / "transforms.json").is_file():
-        return checked(read_transforms(path / "transforms.json"))
-    model = find_colmap_model(path)
-    if model is None:
-        raise BadInput(
-            f"{path}: holds neither transforms.json nor a COLMAP model (cameras, images and points3D in sparse/0)"
-        )
-    return checked(read_colmap(model, path))
-
-
-def checked(capture: Capture) -> Capture:
-    """The capture, its views sorted by name. Raises BadInput if no training is possible with it."""
-    views = sorted(capture.views, key=lambda v: str(v.image))
-    for view in views:
-        if not view.image.is_file():
-            missing = sum(not v.image.is_file() for v in views)
-            raise BadInput(f"{view.image}: no such image ({missing} of {len(views)} are missing)")
-    if len(views) < VIEWS_MIN:
-        raise BadInput(
-            f"{capture.folder}: {len(views)} views; take at least {VIEWS_MIN}, better 30, around what you want"
-        )
-    places = np.array([v.position for v in views])
-    reach = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
-    if reach <= SPREAD_MIN * max(1.0, np.abs(places).max()):
-        raise BadInput(f"{capture.folder}: all cameras stand in one place; depth shows only from several places")
-    finite = (np.abs(capture.points) < MAGNITUDE_MAX).all(axis=1)  # NaN compares false
-    return Capture(capture.folder, views, capture.points[finite], capture.colors[finite])
-
-
-def rigid(matrix, where: str) -> np.ndarray:
-    """A 4x4 or 3x4 matrix of a file as an exact rigid transform (4, 4). Raises BadInput, naming `where`."""
-    try:
-        m = np.array(matrix, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        m = np.full((1, 1), np.nan)
-    if m.shape not in ((4, 4), (3, 4)) or not (np.abs(m) < MAGNITUDE_MAX).all():  # NaN compares false
-        raise BadInput(f"{where}: the pose is not a finite 4x4 matrix")
-    u, s, vt = np.linalg.svd(m[:3, :3])
-    if np.abs(s - 1.0).max() > ORTHONORMAL_TOLERANCE or np.linalg.det(u @ vt) < 0:
-        raise BadInput(
-            f"{where}: the pose is no rotation and translation (it scales by {s.min():.3g} to {s.max():.3g})"
-        )
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = u @ vt, m[:3, 3]
-    return out

@@ -1,12 +1,14 @@
-"""Densification in training: adaptive density control, and MCMC with a fixed budget."""
+"""Densification in training: adaptive density control, MCMC with a fixed budget, and the clearing of free space."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
 
 import numpy as np
 
+from core.camera import Camera
 from prepare.train.population import Population
 
 START, STOP, EVERY = 500, 15_000, 100  # steps of training
@@ -22,6 +24,9 @@ MCMC_STOP = 25_000
 NOISE = 5e5  # times the learning rate of the means
 OPACITY_COST = SCALE_COST = 0.01  # of the mean opacity and the mean scale
 COPIES_MAX = 51  # of a Gaussian for which opacities and scales are computed
+NEAR_SHARE = 0.1  # of a view's pixels that may show something nearer than the depth which counts for it
+FREE_SHARE = 0.25  # of that depth: nobody photographs a thing from so near that all else is four times as far
+MIN_ALPHA = 0.5  # a pixel of lower opacity has no depth
 
 
 def logit(p: float) -> float:
@@ -165,3 +170,29 @@ def shared_opacity_and_scale(opacity: np.ndarray, copies: np.ndarray) -> tuple[n
         term = sum(comb(i - 1, k) * (-1.0) ** k * new ** (k + 1) / np.sqrt(k + 1.0) for k in range(i))
         total += np.where(i <= copies, term, 0.0)
     return new, opacity / total
+
+
+def near_depth(depth: np.ndarray, alpha: np.ndarray) -> float:
+    """Depth that all but NEAR_SHARE of a picture's opaque pixels lie beyond; NaN if it has none."""
+    opaque = alpha > MIN_ALPHA
+    return float(np.quantile(depth[opaque], NEAR_SHARE)) if opaque.any() else float("nan")
+
+
+def free_radii(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
+    """Radii (V,) of the balls around the cameras where nothing was photographed; depths: the views' near depths (V,).
+
+    They reach to the next camera at most: the photographer walked there. So where photographs are dense, a wall close
+    behind the cameras stays. 0 where a view shows nothing.
+    """
+    positions = np.array([c.position for c in cameras])
+    apart = np.linalg.norm(positions[:, None] - positions, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return np.minimum(FREE_SHARE * np.nan_to_num(depths), apart.min(axis=1))
+
+
+def in_free_space(means: np.ndarray, cameras: Sequence[Camera], radii: np.ndarray) -> np.ndarray:
+    """Mask (N,) of the points (N, 3) in one of the balls."""
+    inside = np.zeros(len(means), bool)
+    for camera, radius in zip(cameras, radii, strict=True):
+        inside |= np.linalg.norm(means - camera.position, axis=1) < radius
+    return inside

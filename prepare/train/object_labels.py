@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup
-from prepare.train.optimizer import BETA1, BETA2, EPSILON
+from prepare.train.train_options import BETA1, BETA2, EPSILON
 from render.blend import Blend
 from render.blend_gradients import BlendGradients
 from render.per_pixel_sort import PerPixelSort

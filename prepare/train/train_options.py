@@ -1,4 +1,4 @@
-"""Options of a training and their defaults."""
+"""Options of a training, and the constants of its optimizer."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ CAPS = {"cuda": 2_000_000, "cpu": 100_000}  # most Gaussians, by device
 STEPS = {"cuda": 30_000, "cpu": 3_000}
 FAST_STEPS = {"cuda": 10_000, "cpu": 1_000}
 FAST = {"coarse": 0.3, "sparse": True, "harmonics_every": 2, "degree_interval": 400, "resets": False}
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 
 
 @dataclass(frozen=True)
@@ -18,9 +19,9 @@ class TrainOptions:
     cap        upper limit of Gaussians, frozen ones included; their memory is allocated at the start
     sort       order of blending in training, one of render.SORTS
     frozen     number of first Gaussians that are drawn but stay as they are, bit for bit
-    exposure   also learn the exposure of each photograph (prepare/train/exposure.py)
+    exposure   also learn the exposure of each photograph (prepare/train/view_corrections.py)
     poses      also learn corrections of the poses
-    free_space Gaussians beside the cameras are removed as they come (prepare/train/free_space.py)
+    free_space Gaussians beside the cameras are removed as they come (prepare/train/densification.py)
 
     Options that trade quality for time, see `fast`:
     coarse           fraction of the steps that use pictures of a quarter, then half, of the size
@@ -53,3 +54,20 @@ class TrainOptions:
 def fast(options: TrainOptions) -> TrainOptions:
     """The same options with those that trade quality for time set to the best measured values (bench/NOTES.md)."""
     return replace(options, **FAST)
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Learning rates of Adam (Kerbl 2023): that of the means is in units of the capture's extent and decays."""
+
+    mean: float = 1.6e-4
+    mean_end: float = 1.6e-6
+    quat: float = 1e-3
+    log_scale: float = 5e-3
+    logit: float = 5e-2
+    color: float = 2.5e-3
+    harmonics: float = 2.5e-3 / 20
+
+    def of_mean(self, step: int, steps: int, extent: float) -> float:
+        """Rate of the means [capture's units] at a step of all."""
+        return extent * self.mean * (self.mean_end / self.mean) ** (step / max(steps, 1))

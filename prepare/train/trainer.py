@@ -1,25 +1,95 @@
-"""Training of Gaussians on photographs: one view per step, entirely on the device."""
+"""Training of Gaussians on photographs: one view per step, entirely on the device; checkpoints of it."""
 
-from __future__ import annotations
-
+import json
+import math
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import taichi as ti
 
+from assets.file_access import atomic_write
 from assets.gaussians import SH_COUNTS, Gaussians
-from prepare.train.densification import FAR, AdaptiveDensity, MonteCarlo
-from prepare.train.free_space import free_radii, in_free_space, near_depth
+from assets.hdf5 import new_hdf5, open_hdf5
+from core.camera import Camera
+from prepare.train.densification import FAR, AdaptiveDensity, MonteCarlo, free_radii, in_free_space, near_depth
 from prepare.train.gradient_step import GradientStep
-from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label
-from prepare.train.optimizer import BETA1, BETA2, LearningRates
-from prepare.train.photographs import Photograph
+from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label, packed_labels
+from prepare.train.photographs import Photograph, reduced
 from prepare.train.population import Population
-from prepare.train.train_options import TrainOptions
-from prepare.train.training_views import TrainingViews, packed
+from prepare.train.train_options import BETA1, BETA2, LearningRates, TrainOptions
 from prepare.train.view_corrections import Exposures, Poses
 
+COARSE = (4, 2)  # divisors of width and height in the coarse stage, each for an equal part of it
+SIDE_MIN = 32  # [px] smaller pictures are not reduced: SSIM's window is 11
 CLEARED = (0.5, 0.6, 0.7, 0.8, 0.9)  # fractions of a training at which free space is cleared: growth has ended
 STRATEGIES = {"default": AdaptiveDensity, "mcmc": MonteCarlo}
+FORMAT, VERSION = "vrgs-training", 1
+COLUMNS = {"mean": (3,), "quat": (4,), "log_scale": (3,), "logit": (), "first": (11,), "second": (11,)}
+COLUMNS |= {"pull": (), "pulls": ()}
+OF_VIEWS = (("exposure", "exposure", 12), ("poses", "pose", 6))  # option, dataset, numbers a view
+HARMONICS = ("sh", "first_sh", "second_sh")
+LABELS = ("label", "first_label", "second_label")  # if objects are learned
+
+
+class Target(NamedTuple):
+    """A training view: an image, its camera, the number of pixels that count, and object labels if known.
+
+    mask   `packed_labels`, or None; known: the number of pixels that it counts
+    """
+
+    image: ti.Ndarray
+    camera: Camera
+    counted: int
+    mask: ti.Ndarray | None
+    known: int
+
+
+class TrainingViews:
+    """Training photographs by view, at the size for the current stage of the training.
+
+    coarse   fraction of the steps that use reduced pictures; 0: none, and no reduced copies are kept
+    objects  number of objects in their masks
+    """
+
+    def __init__(self, photographs: list[Photograph], coarse: float, objects: int):
+        self.cameras, self.coarse = [p.camera for p in photographs], coarse
+        side = min(min(c.width, c.height) for c in self.cameras)
+        divisors = [d for d in COARSE if side >= d * SIDE_MIN] if coarse > 0.0 else []
+        self.levels = [[target(reduced(p, d), objects) for p in photographs] for d in (*divisors, 1)]
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def at(self, view: int, progress: float) -> Target:
+        """The target for a view after a fraction `progress` of the steps."""
+        stages = len(self.levels) - 1
+        k = min(stages, math.floor(stages * progress / self.coarse)) if stages else 0
+        found = self.levels[k][view]
+        return found._replace(camera=replace(found.camera, world_to_camera=self.cameras[view].world_to_camera))
+
+    def set_pose(self, view: int, world_to_camera: np.ndarray) -> None:
+        """Render a view from another pose from now on."""
+        self.cameras[view] = replace(self.cameras[view], world_to_camera=world_to_camera)
+
+
+def target(photograph: Photograph, objects: int) -> Target:
+    """A photograph on the device, with labels if it knows its `objects`."""
+    ids, mask, known = photograph.objects, None, 0
+    if ids is not None and objects > 0:
+        counts = photograph.mask & (ids <= objects)
+        known = int(counts.sum())
+        mask = packed_labels(ids, counts, objects) if known else None
+    return Target(packed(photograph), photograph.camera, max(1, int(photograph.mask.sum())), mask, known)
+
+
+def packed(photograph: Photograph) -> ti.Ndarray:
+    """A photograph on the device: u32 R | G<<8 | B<<16 | A<<24, A = 255 where a pixel counts."""
+    rgba = np.dstack([photograph.pixels, np.where(photograph.mask, 255, 0).astype(np.uint8)])
+    image = ti.ndarray(ti.u32, rgba.shape[:2])
+    image.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
+    return image
 
 
 @dataclass(frozen=True)
@@ -189,3 +259,42 @@ class Trainer:
         rng = self.rng.bit_generator.state
         rng["state"] = {"state": low | high << 64, "inc": inc_low | inc_high << 64}
         self.rng.bit_generator.state = rng
+
+
+def write_checkpoint(path: Path, state: dict[str, np.ndarray], options: dict) -> None:
+    """Write the state of a trainer, atomically. Raises BadInput."""
+    with atomic_write(path) as beside, new_hdf5(beside) as file:
+        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+        file.attrs["options"] = json.dumps(options, sort_keys=True)
+        for name, values in state.items():
+            file.create_dataset(name, data=values)
+
+
+def read_checkpoint(path: Path, options: dict, views: int) -> dict[str, np.ndarray]:
+    """The state of a trainer of `views` photographs with the same options. Raises BadInput."""
+    with open_hdf5(path) as file:
+        if file.text("", "format") != FORMAT or file.number("", "version") != VERSION:
+            raise file.error("is no checkpoint of a training of this version")
+        if file.json("", "options") != options:
+            raise file.error("was made with other options; with --fresh the training starts anew")
+        count = len(file.floats("mean", (None, 3)))
+        state = {name: file.floats(name, (count, *shape)) for name, shape in COLUMNS.items()}
+        coefficients = SH_COUNTS[options["degree"]]
+        state |= {name: file.floats(name, (count, coefficients, 3)) for name in HARMONICS}
+        if options.get("objects"):
+            state |= {name: file.floats(name, (count, 3)) for name in LABELS}
+        for option, name, numbers in OF_VIEWS:
+            if options.get(option):
+                state[name] = file.floats(name, (views, 3, numbers), np.float64)
+        for name, values in state.items():
+            if not np.isfinite(values).all():
+                raise file.error(f"{name} is not finite")
+        for option, name, _ in OF_VIEWS:
+            if options.get(option):
+                state[f"{name}_steps"] = file.indices(f"{name}_steps", (views,), np.int64)
+        state["done"] = file.indices("done", (1,), np.int64)
+        state["queue"] = file.indices("queue", (None,))
+        state["rng"] = file.array("rng", "iu", (4,)).astype(np.uint64)
+        if count == 0 or (state["queue"] >= views).any():
+            raise file.error("does not belong to these photographs")
+        return state

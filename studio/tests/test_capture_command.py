@@ -19,7 +19,7 @@ from commands.parser import parse
 from core.errors import BadInput
 from prepare.room_capture.stages import Stages
 from prepare.segment.mask_files import read_masks
-from prepare.train.capture import read_capture
+from prepare.train.capture_files import read_capture
 from studio.procedural_capture import CaptureOptions, write_procedural_capture
 
 ROOM = "--reduce 1 --steps 400 --vertices 200"

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from core.errors import BadInput
 from prepare.segment.marks import drawn_strokes, read_marks
 from prepare.segment.mask_files import read_masks
-from prepare.train.capture import read_capture
+from prepare.train.capture_files import read_capture
 from prepare.train.photographs import load_photograph
 from studio.ball import RADIUS
 from studio.procedural_capture import OBJECTS, CaptureOptions, write_procedural_capture

@@ -24,7 +24,7 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 from core.errors import BadInput
-from prepare.train.checkpoint import write_checkpoint
+from prepare.train.trainer import write_checkpoint
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
 try:
     write_checkpoint(Path(sys.argv[1]), {f"values_{k}": np.zeros(5000) for k in range(8)}, {})

@@ -14,7 +14,7 @@ from commands.capture_input import capture_key, check_can_ask, marks_in, photogr
 from core.errors import BadInput
 from prepare.room_capture.stages import Stages
 from prepare.segment.marks import Marks, ViewMarks, write_marks
-from prepare.train.capture import read_capture
+from prepare.train.capture_files import read_capture
 
 NAMES = [f"{k}.png" for k in range(5)]
 LOST = "3.png"  # the pose of which is not found

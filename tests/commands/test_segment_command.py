@@ -8,7 +8,7 @@ import pytest
 from commands.parser import parse
 from core.errors import BadInput
 from prepare.segment.mask_files import read_masks
-from prepare.train.capture import read_capture
+from prepare.train.capture_files import read_capture
 from tests.support.painted_capture import write_capture
 
 

@@ -183,7 +183,7 @@ def checkpoint_version(folder: Path) -> int | None:
 
 def write_training(folder: Path, k: int) -> None:
     """The state of a training after k steps."""
-    from prepare.train.checkpoint import write_checkpoint
+    from prepare.train.trainer import write_checkpoint
 
     write_checkpoint(folder / "training.h5", {"done": np.array([k]), "mean": np.full((500, 3), k)}, {})
 

@@ -97,7 +97,7 @@ def read_saved_state(path: Path) -> None:
 
 def training_samples(folder: Path) -> list[Files]:
     """A checkpoint of a training."""
-    from prepare.train.checkpoint import COLUMNS, HARMONICS, write_checkpoint
+    from prepare.train.trainer import COLUMNS, HARMONICS, write_checkpoint
 
     state = {name: np.zeros((5, *shape), np.float32) for name, shape in COLUMNS.items()}
     state |= {name: np.zeros((5, 4, 3), np.float32) for name in HARMONICS}
@@ -107,7 +107,7 @@ def training_samples(folder: Path) -> list[Files]:
 
 def read_training(path: Path) -> None:
     """Read the checkpoint of a training."""
-    from prepare.train.checkpoint import read_checkpoint
+    from prepare.train.trainer import read_checkpoint
 
     read_checkpoint(path, {"degree": 1}, 4)
 

@@ -129,7 +129,7 @@ def inside_capture(rng: np.random.Generator, files: Files) -> Files:
 
 def read_whole_capture(path: Path) -> None:
     """Read a capture, and one of its photographs."""
-    from prepare.train.capture import read_capture
+    from prepare.train.capture_files import read_capture
     from prepare.train.photographs import load_photograph
 
     capture = read_capture(path if path.suffix == ".json" else path.parents[2])

@@ -14,12 +14,10 @@ from numpy.testing import assert_allclose
 
 from core.camera import look_at
 from core.errors import BadInput
-from prepare.train.capture import read_capture
-from prepare.train.colmap_model import read_colmap
-from prepare.train.lens import Lens
+from prepare.train.capture import Lens
+from prepare.train.capture_files import OPENGL_TO_OPENCV, read_capture, read_colmap
 from prepare.train.photographs import load_photograph, read_image
 from prepare.train.structure_from_motion import find_poses, photographs_in, sharpest_frames
-from prepare.train.transforms_json import OPENGL_TO_OPENCV
 
 WIDTH, HEIGHT = 48, 32
 EYES = [(2.0, 0.5, 0.0), (0.0, 0.6, 2.0), (-2.0, 0.4, 0.1), (0.3, 0.5, -2.0)]

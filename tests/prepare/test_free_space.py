@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from core.camera import look_at, perspective
-from prepare.train.free_space import free_radii, in_free_space, near_depth
+from prepare.train.densification import free_radii, in_free_space, near_depth
 from prepare.train.trainer import Trainer, TrainOptions
 from tests.support import painted_capture
 from tests.support.painted_capture import SIDE

@@ -15,8 +15,7 @@ from prepare.segment.mask_overlay import contact_sheet, overlay
 from prepare.segment.mask_propagation import MarkPropagation, view_depths
 from prepare.segment.picture_cut import border_band, cut_objects, grab_cut
 from prepare.segment.view_depths import depths_of_points, points_at, seen_by
-from prepare.train.capture import Capture, View
-from prepare.train.lens import Lens
+from prepare.train.capture import Capture, Lens, View
 from prepare.train.photographs import Photograph
 from studio.stroke_marks import two_strokes
 from tests.support.onnx_network import Network

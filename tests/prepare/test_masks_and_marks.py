@@ -9,8 +9,7 @@ import pytest
 from core.errors import BadInput
 from prepare.segment.marks import Marks, ViewMarks, drawn_boxes, drawn_strokes, read_marks, write_marks
 from prepare.segment.mask_files import Masks, object_colors, read_masks, write_masks
-from prepare.train.capture import View
-from prepare.train.lens import Lens
+from prepare.train.capture import Lens, View
 
 WIDTH, HEIGHT = 24, 16
 SIZES = {"a.png": (WIDTH, HEIGHT), "b.png": (WIDTH, HEIGHT), "c.png": (WIDTH, HEIGHT)}

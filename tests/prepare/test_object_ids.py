@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from prepare.segment.object_ids import check_learned, masks_of, part_file, split, voted
-from prepare.train.capture import read_capture
+from prepare.train.capture_files import read_capture
 from tests.support import painted_capture
 from tests.support.samples import some_gaussians
 from vrgs import main

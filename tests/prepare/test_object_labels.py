@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from prepare.train.capture import Capture, View
-from prepare.train.checkpoint import LABELS, read_checkpoint, write_checkpoint
+from prepare.train.capture import Capture, Lens, View
 from prepare.train.densification import AdaptiveDensity
-from prepare.train.lens import Lens
 from prepare.train.object_labels import label_colors, nearest_label
 from prepare.train.photographs import load_photograph
 from prepare.train.seeds import seeds
-from prepare.train.trainer import Trainer, TrainOptions
+from prepare.train.trainer import LABELS, Trainer, TrainOptions, read_checkpoint, write_checkpoint
 from tests.support import painted_capture
 
 CAP = 500

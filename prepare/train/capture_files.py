@@ -1,0 +1,347 @@
+"""Captures in files: transforms.json (nerfstudio, instant-ngp), COLMAP models (text and binary), point clouds."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import read_json
+from assets.gaussians import MAGNITUDE_MAX
+from core.errors import BadInput
+from core.rotation import matrices_from_quaternions
+from prepare.train.capture import Capture, Lens, View
+from prepare.train.photographs import image_size
+
+VIEWS_MIN = 3  # two views always agree on some depth of a point; a third one checks it
+ORTHONORMAL_TOLERANCE = 1e-2  # of rotations in files, which are rounded; they are made exact
+SPREAD_MIN = 1e-6  # spread of the cameras relative to their distance from the origin; below it they stand in one place
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+FILE_MAX = 64 << 20  # [bytes]
+DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+FISHEYE = ("k1", "k2", "k3", "k4")
+TRANSFORMS_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV_FISHEYE")
+GREY = 128
+FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", ".")  # of a capture, in which models lie
+IMAGE_FOLDERS = ("images", ".")
+NAME_MAX = 4096  # [bytes]
+# COLMAP's model number: name, focal lengths (1 or 2), coefficients of OpenCV's in the order of the file, fisheye
+COLMAP_MODELS = {
+    0: ("SIMPLE_PINHOLE", 1, (), False),
+    1: ("PINHOLE", 2, (), False),
+    2: ("SIMPLE_RADIAL", 1, ("k1",), False),
+    3: ("RADIAL", 1, ("k1", "k2"), False),
+    4: ("OPENCV", 2, ("k1", "k2", "p1", "p2"), False),
+    5: ("OPENCV_FISHEYE", 2, ("k1", "k2", "k3", "k4"), True),
+    6: ("FULL_OPENCV", 2, ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), False),
+    8: ("SIMPLE_RADIAL_FISHEYE", 1, ("k1",), True),
+    9: ("RADIAL_FISHEYE", 1, ("k1", "k2"), True),
+}
+OPENCV_ORDER = {False: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), True: ("k1", "k2", "k3", "k4")}
+
+
+def read_capture(path: str | Path) -> Capture:
+    """The capture in a folder, or of a transforms.json: nerfstudio, instant-ngp or COLMAP (text or binary).
+
+    Raises BadInput, which names the fault and a remedy.
+    """
+    path = Path(path)
+    if path.is_file():
+        if path.suffix.lower() != ".json":
+            raise BadInput(
+                f"{path}: a capture is a folder with transforms.json or a COLMAP model, or a transforms.json"
+            )
+        return checked(read_transforms(path))
+    if not path.is_dir():
+        raise BadInput(f"{path}: no such folder")
+    if (path / "transforms.json").is_file():
+        return checked(read_transforms(path / "transforms.json"))
+    model = find_colmap_model(path)
+    if model is None:
+        raise BadInput(
+            f"{path}: holds neither transforms.json nor a COLMAP model (cameras, images and points3D in sparse/0)"
+        )
+    return checked(read_colmap(model, path))
+
+
+def checked(capture: Capture) -> Capture:
+    """The capture, its views sorted by name. Raises BadInput if no training is possible with it."""
+    views = sorted(capture.views, key=lambda v: str(v.image))
+    for view in views:
+        if not view.image.is_file():
+            missing = sum(not v.image.is_file() for v in views)
+            raise BadInput(f"{view.image}: no such image ({missing} of {len(views)} are missing)")
+    if len(views) < VIEWS_MIN:
+        raise BadInput(
+            f"{capture.folder}: {len(views)} views; take at least {VIEWS_MIN}, better 30, around what you want"
+        )
+    places = np.array([v.position for v in views])
+    reach = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
+    if reach <= SPREAD_MIN * max(1.0, np.abs(places).max()):
+        raise BadInput(f"{capture.folder}: all cameras stand in one place; depth shows only from several places")
+    finite = (np.abs(capture.points) < MAGNITUDE_MAX).all(axis=1)  # NaN compares false
+    return Capture(capture.folder, views, capture.points[finite], capture.colors[finite])
+
+
+def rigid(matrix, where: str) -> np.ndarray:
+    """A 4x4 or 3x4 matrix of a file as an exact rigid transform (4, 4). Raises BadInput, naming `where`."""
+    try:
+        m = np.array(matrix, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        m = np.full((1, 1), np.nan)
+    if m.shape not in ((4, 4), (3, 4)) or not (np.abs(m) < MAGNITUDE_MAX).all():  # NaN compares false
+        raise BadInput(f"{where}: the pose is not a finite 4x4 matrix")
+    u, s, vt = np.linalg.svd(m[:3, :3])
+    if np.abs(s - 1.0).max() > ORTHONORMAL_TOLERANCE or np.linalg.det(u @ vt) < 0:
+        raise BadInput(
+            f"{where}: the pose is no rotation and translation (it scales by {s.min():.3g} to {s.max():.3g})"
+        )
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = u @ vt, m[:3, 3]
+    return out
+
+
+def read_transforms(path: Path) -> Capture:
+    """The capture of a transforms.json. Raises BadInput."""
+    data = read_json(path, FILE_MAX)
+    frames = data.get("frames") if isinstance(data, dict) else None
+    if not isinstance(frames, list) or not all(isinstance(f, dict) for f in frames):
+        raise BadInput(f"{path}: has no list of frames")
+    views = [_view(path, {**data, **frame}, frame) for frame in frames]
+    points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    name = data.get("ply_file_path")
+    found = _inside(path, name) if isinstance(name, str) else path.parent / "sparse_pc.ply"
+    if isinstance(name, str) or found.is_file():
+        points, colors = read_points(found)
+    return Capture(path.parent, views, points, colors)
+
+
+def _view(path: Path, values: dict, frame: dict) -> View:
+    """A frame, with the file's values where it has none of its own."""
+    name = frame.get("file_path")
+    if not isinstance(name, str) or not name:
+        raise BadInput(f"{path}: a frame has no file_path")
+    image = _inside(path, name)
+    if not image.suffix:  # as of Blender's datasets
+        image = image.with_suffix(".png")
+    mask = values.get("mask_path")
+    where = f"{path}: {name}"
+    world_from_camera = rigid(frame.get("transform_matrix"), where) @ OPENGL_TO_OPENCV
+    lens = _frame_lens(where, values, image)
+    lens.check(where)
+    return View(image, lens, np.linalg.inv(world_from_camera), _inside(path, mask) if isinstance(mask, str) else None)
+
+
+def _inside(path: Path, name: str) -> Path:
+    """A file beside the transforms.json. Raises BadInput for one that lies elsewhere."""
+    if "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
+        raise BadInput(f"{path}: {name!r} is not inside of the capture's folder")
+    return path.parent / name
+
+
+def _frame_lens(where: str, values: dict, image: Path) -> Lens:
+    def number(name: str, default: float | None = None) -> float | None:
+        value = values.get(name, default)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise BadInput(f"{where}: {name} is not a number")
+        if isinstance(value, int) and abs(value) > MAGNITUDE_MAX:
+            raise BadInput(f"{where}: {name} is too large")
+        return value
+
+    width, height = number("w"), number("h")
+    if width is None or height is None:
+        width, height = image_size(image)
+    fx = number("fl_x")
+    if fx is None:
+        angle = number("camera_angle_x")
+        if angle is None or not 0.0 < angle < math.pi:
+            raise BadInput(f"{where}: has neither a focal length (fl_x) nor an angle of view (camera_angle_x)")
+        fx = 0.5 * width / math.tan(0.5 * angle)
+    model = values.get("camera_model", "OPENCV")
+    if model not in TRANSFORMS_MODELS:
+        raise BadInput(
+            f"{where}: camera_model {model!r} is not known; undistort it to one of {', '.join(TRANSFORMS_MODELS)}"
+        )
+    fisheye = model == "OPENCV_FISHEYE" or values.get("is_fisheye") is True
+    distortion = tuple(number(k, 0.0) for k in (FISHEYE if fisheye else DISTORTION))
+    if any(isinstance(n, float) and not math.isfinite(n) for n in (width, height)):
+        raise BadInput(f"{where}: the size is not finite")
+    cx, cy = number("cx", 0.5 * width), number("cy", 0.5 * height)
+    return Lens(int(width), int(height), fx, number("fl_y", fx), cx, cy, distortion, fisheye)
+
+
+def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P, 3) float64 and colours (P, 3) uint8, grey where the file has none. Raises BadInput."""
+    import trimesh
+
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file (the capture's points)")
+    try:
+        with open(path, "rb") as file:
+            cloud = trimesh.load(file, file_type="ply", process=False)
+        points = np.asarray(cloud.vertices, np.float64)
+        colors = getattr(cloud, "colors", None)
+        if colors is None or len(colors) != len(points):
+            colors = np.full((len(points), 3), GREY)
+        colors = np.asarray(colors)[:, :3].astype(np.uint8)
+    except Exception as e:  # trimesh raises what it meets in a broken file: KeyError, ValueError, struct.error...
+        raise BadInput(f"{path}: no point cloud can be read ({e})") from e
+    if points.ndim != 2 or points.shape[1:] != (3,):
+        raise BadInput(f"{path}: holds no points")
+    return points, colors
+
+
+def find_colmap_model(folder: Path) -> Path | None:
+    """The folder of the first model of a capture, or None."""
+    for name in FOLDERS:
+        if any((folder / name / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
+            return folder / name
+    return None
+
+
+def read_colmap(model: Path, folder: Path) -> Capture:
+    """The capture of a model and of the images in `folder`. Raises BadInput."""
+    binary = (model / "cameras.bin").is_file()
+    try:
+        lenses = dict(_binary_cameras(model) if binary else _text_cameras(model))
+        images = list(_binary_images(model) if binary else _text_images(model))
+        points, colors = _binary_points(model) if binary else _text_points(model)
+    except OSError as e:
+        raise BadInput(f"{model}: {e.filename} cannot be read ({e.strerror})") from e
+    except (struct.error, ValueError, IndexError, OverflowError, UnicodeDecodeError) as e:
+        raise BadInput(f"{model}: a file of this COLMAP model is cut off or damaged ({str(e)[:100]})") from e
+    pictures = next(
+        (folder / name for name in IMAGE_FOLDERS if images and (folder / name / images[0][2]).is_file()), None
+    )
+    views = []
+    for pose, camera, name in images:
+        if camera not in lenses:
+            raise BadInput(f"{model}: image {name} has a camera {camera} that is not there")
+        if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name:
+            raise BadInput(f"{model}: {name!r} is not inside of the capture's folder")
+        views.append(View((pictures or folder / "images") / name, lenses[camera], rigid(pose, f"{model}: {name}")))
+    return Capture(folder, views, points, colors)
+
+
+def _colmap_lens(
+    model: Path, number: int, kind: int | str, width: int, height: int, values: list[float]
+) -> tuple[int, Lens]:
+    known = {**COLMAP_MODELS, **{m[0]: m for m in COLMAP_MODELS.values()}}
+    if kind not in known:
+        raise BadInput(f"{model}: camera {number} has the model {kind}, which is not known; undistort it with COLMAP")
+    name, focal, coefficients, fisheye = known[kind]
+    if len(values) != focal + 2 + len(coefficients):
+        raise BadInput(f"{model}: camera {number} ({name}) has {len(values)} parameters")
+    fx, fy = values[0], values[focal - 1]
+    cx, cy = values[focal : focal + 2]
+    given = dict(zip(coefficients, values[focal + 2 :], strict=True))
+    distortion = tuple(given.get(k, 0.0) for k in OPENCV_ORDER[fisheye])
+    lens = Lens(width, height, fx, fy, cx, cy, distortion if coefficients else (), fisheye)
+    lens.check(f"{model}: camera {number}")
+    return number, lens
+
+
+def _pose(quaternion, translation) -> np.ndarray:
+    pose = np.eye(4)
+    q = np.asarray(quaternion, np.float64)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(q)
+    pose[:3, :3] = matrices_from_quaternions((q / length)[None])[0] if 0 < length < np.inf else np.nan
+    pose[:3, 3] = translation
+    return pose
+
+
+# text
+
+
+def _lines(path: Path) -> Iterator[str]:
+    with open(path, encoding="utf-8") as file:
+        for line in file:
+            if not line.startswith("#"):
+                yield line.rstrip("\n")
+
+
+def _text_cameras(model: Path) -> Iterator[tuple[int, Lens]]:
+    for line in _lines(model / "cameras.txt"):
+        if words := line.split():
+            number, kind, width, height, *values = words
+            yield _colmap_lens(model, int(number), kind, int(width), int(height), [float(v) for v in values])
+
+
+def _text_images(model: Path) -> Iterator[tuple[np.ndarray, int, str]]:
+    lines = _lines(model / "images.txt")
+    for line in lines:
+        if words := line.split(maxsplit=9):
+            numbers = [float(w) for w in words[1:8]]
+            yield _pose(numbers[:4], numbers[4:]), int(words[8]), words[9].strip()
+            next(lines, None)  # the points that it saw, which may be an empty line
+
+
+def _text_points(model: Path) -> tuple[np.ndarray, np.ndarray]:
+    path = model / "points3D.txt"
+    rows = [line.split()[1:7] for line in _lines(path) if line.strip()] if path.is_file() else []
+    values = np.array(rows, np.float64).reshape(-1, 6)
+    return values[:, :3].copy(), np.nan_to_num(values[:, 3:]).clip(0, 255).astype(np.uint8)
+
+
+# binary, little-endian
+
+
+class _Bytes:
+    """A file that is read from the front. Raises struct.error where it ends too early."""
+
+    def __init__(self, path: Path):
+        self.data, self.at = path.read_bytes(), 0
+
+    def take(self, form: str) -> tuple:
+        values = struct.unpack_from("<" + form, self.data, self.at)
+        self.at += struct.calcsize("<" + form)
+        return values
+
+    def skip(self, count: int, size: int) -> None:
+        if count > (len(self.data) - self.at) // size:
+            raise ValueError(f"{count} records announced")
+        self.at += count * size
+
+    def name(self) -> str:
+        end = self.data.index(b"\0", self.at, self.at + NAME_MAX)
+        text = self.data[self.at : end].decode("utf-8")
+        self.at = end + 1
+        return text
+
+
+def _binary_cameras(model: Path) -> Iterator[tuple[int, Lens]]:
+    file = _Bytes(model / "cameras.bin")
+    for _ in range(file.take("Q")[0]):
+        number, kind, width, height = file.take("IiQQ")
+        if kind not in COLMAP_MODELS:
+            raise BadInput(
+                f"{model}: camera {number} has the model {kind}, which is not known; undistort it with COLMAP"
+            )
+        values = list(file.take(f"{COLMAP_MODELS[kind][1] + 2 + len(COLMAP_MODELS[kind][2])}d"))
+        yield _colmap_lens(model, number, kind, width, height, values)
+
+
+def _binary_images(model: Path) -> Iterator[tuple[np.ndarray, int, str]]:
+    file = _Bytes(model / "images.bin")
+    for _ in range(file.take("Q")[0]):
+        _, *pose, camera = file.take("I7dI")
+        name = file.name()
+        file.skip(file.take("Q")[0], 24)  # x, y, and the point's number
+        yield _pose(pose[:4], pose[4:]), camera, name
+
+
+def _binary_points(model: Path) -> tuple[np.ndarray, np.ndarray]:
+    path = model / "points3D.bin"
+    if not path.is_file():
+        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    file, points, colors = _Bytes(path), [], []
+    for _ in range(file.take("Q")[0]):
+        _, x, y, z, red, green, blue, _ = file.take("Q3d3Bd")
+        points.append((x, y, z))
+        colors.append((red, green, blue))
+        file.skip(file.take("Q")[0], 8)
+    return np.array(points).reshape(-1, 3), np.array(colors, np.uint8).reshape(-1, 3)

@@ -26,8 +26,7 @@ from render.splats import Splats
 from render.still_pose import StillPose
 from scenes.scene import Scene
 from sim.contact.contact_samples import MAX_SAMPLES
-from sim.contact.line_of_sight import LineOfSight
-from sim.contact.static_shapes import placed
+from sim.contact.static_shapes import LineOfSight, placed
 from sim.embedding import BodySpan, Embedding, PackedBody
 from sim.model import MAX_BODIES, Capacity
 from sim.rigid.rigid_body import RigidBody

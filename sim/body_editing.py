@@ -13,7 +13,7 @@ import numpy as np
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
-from sim.hands.grasp_state import GraspState
+from sim.hands.grasp import GraspState
 from sim.model import BodyModel, SoftBody, body_index, motion
 
 COPY_GAP = 0.01  # [m] between a body and its copy

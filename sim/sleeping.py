@@ -17,12 +17,12 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
-from sim.contact.contacts import FINGER
+from sim.contacts import FINGER
 from sim.model import MAX_BODIES
-from sim.rigid.rigid_motion import DRIVEN, FREE
+from sim.rigid.rigid_bodies import DRIVEN, FREE
 
 if TYPE_CHECKING:
-    from sim.contact.contacts import Contacts
+    from sim.contacts import Contacts
     from sim.reductions import Reductions
     from sim.rigid.rigid_bodies import RigidBodies
     from sim.state import State

@@ -15,16 +15,15 @@ from core.material import Material
 from core.vocabulary import BodyState, Hand
 from sim import body_editing
 from sim.body_editing import MovingBodies
-from sim.contact.contacts import Contacts
 from sim.contact.static_shapes import Shape
+from sim.contacts import Contacts
 from sim.elastic.damping import Damping
 from sim.elastic.energy import Elasticity
 from sim.elastic.substep import Constraint
 from sim.elastic.vbd import VBDSubsteps
 from sim.elastic.vbd_persistent import PersistentVBD
 from sim.elastic.xpbd import PersistentXPBD, XPBDSubsteps
-from sim.hands.grasp import Grasps
-from sim.hands.grasp_state import GraspState
+from sim.hands.grasp import Grasps, GraspState, RigidGrasp
 from sim.hands.rigid_editing import RigidEditing
 from sim.kinematic_targets import KinematicTargets
 from sim.model import BodyModel, Capacity, Model, SoftBody, models_of
@@ -89,7 +88,7 @@ class Solver:
         self._reductions = Reductions(s, blocks)
         grasps = Grasps(s, hands) if contacts else None
         passes = passes_for(choose_for(first, self._wanted, rigid=True).substep)
-        rigid = self.rigid_bodies = RigidBodies(s, grasps, passes=passes) if self._with_rigid else None
+        rigid = self.rigid_bodies = RigidBodies(s, RigidGrasp(s, grasps), passes=passes) if self._with_rigid else None
         self.contacts: Contacts | None = None
         if contacts:
             options = {"self_contact": self_contact, "capacity": capacity, "fingers": fingers, "rigid_bodies": rigid}

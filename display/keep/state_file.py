@@ -44,7 +44,7 @@ from core.material import Material
 from core.vocabulary import Hand, Light
 from display.record.codec import checked_value
 from display.record.recording_reader import checked_about
-from sim.hands.grasp_state import Grasp, GraspState
+from sim.hands.grasp import Grasp, GraspState
 from sim.model import MAX_BODIES
 from sim.recovery import DURATION
 from sim.state import MOTION

@@ -14,7 +14,7 @@ from display.xr import avatar
 from display.xr.actions import FINGER_RADIUS, PRESS_ABOVE, RELEASE_BELOW, ActionSet, Controller
 from display.xr.poses import PlaySpace, interpolate_pose, pose_matrix, position_rotation
 from scenes.scene import Scene
-from sim.hands.grasp_state import MAX_HAND_FORCE
+from sim.hands.grasp import MAX_HAND_FORCE
 
 GRAB_RADIUS, PINCH_RADIUS = 0.05, 0.02  # [m] within which a fist, and finger and thumb, take hold
 SNAP_TURN = np.pi / 6  # [rad] of a step to the side: smooth turns make many people sick

@@ -1,4 +1,4 @@
-"""Contact samples: points on the bodies' surfaces and on thin static capsules, tested against other shapes."""
+"""Contact samples: the points on bodies, thin static capsules and fingers that are tested against other shapes."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import taichi as ti
 from scipy.spatial import cKDTree
+from taichi.math import vec3
 
 from core.distance_grid import SKIN_VOXELS, DistanceGrid
 from core.fields import FieldGroup, Upload, round_up_capacity
@@ -14,6 +15,8 @@ from sim.contact.static_shapes import StaticGrid
 from sim.model import MAX_BODIES, Capacity, fit, stacked
 
 if TYPE_CHECKING:
+    from sim.contact.broad_phase import BodyBounds
+    from sim.contact.finger_capsules import FingerCapsules
     from sim.contact.static_shapes import Shape
     from sim.model import BodyModel, Model, RestShape
     from sim.state import State
@@ -23,6 +26,7 @@ MIN_SEPARATION = 0.75  # [spacings] between points after thinning: one spacing a
 MIN_RIGID_SPACING = 0.1  # of the size of a rigid body: it does not bend, and its contacts are solved one by one
 MAX_SAMPLES = 6000  # of a body; a longer list is thinned by a larger spacing
 MAX_CAPSULES = 32  # static capsules with samples
+STATIC_GROUPS = MAX_BODIES + MAX_CAPSULES  # the next ones are finger capsules
 # [spacings] of a thin capsule. Between a body's samples, two a radius, it slips where the body is stretched fourfold:
 # of rings that started at twice their size on a peg of 4 cm radius, one in twelve came off.
 THIN_RADIUS = 8.0
@@ -232,3 +236,137 @@ class CapsuleSamples:
         fields = [self.position, self.radius, self.friction, self.group, self.low, self.high, self.capsule_radius]
         columns = [table[:, :3], table[:, 3], table[:, 4], table[:, 5], low, high, [c.radius for c in thin]]
         Upload([*fields, self.count, self.capsule_count])([*columns, self.size, len(thin)])
+
+
+@ti.data_oriented
+class QueryPoints:
+    """Points of the nearest-tetrahedron query: what may be in a tet, where it is, and which group it belongs to.
+
+    First the samples of bodies, then those of static capsules, and from `first_finger` on those of fingers. Bodies and
+    capsules are *groups*, numbered one after the other: first MAX_BODIES for bodies, then up to STATIC_GROUPS for
+    static capsules, then finger capsules.
+
+    size: how many there may be;   groups: numbers of groups, used or not
+    """
+
+    def __init__(
+        self,
+        state: "State",
+        samples: "ContactSamples",
+        capsules: "CapsuleSamples",
+        bounds: "BodyBounds",
+        fingers: "FingerCapsules | None",
+    ):
+        self.state, self.samples, self.capsules, self.bounds = state, samples, capsules, bounds
+        self.fingers, self.has_fingers = fingers, fingers is not None
+        self.first_finger = samples.capacity + capsules.size
+        self.finger_groups = fingers.capsules if self.has_fingers else 0
+        self.size = self.first_finger + (fingers.count if self.has_fingers else 0)
+        self.groups = STATIC_GROUPS + self.finger_groups
+
+    @ti.func
+    def exists(self, p):
+        """True if there is a point p."""
+        result = p < self.samples.count[None] + self.capsules.count[None]
+        if ti.static(self.has_fingers):  # noqa: SIM102
+            if self.is_finger(p):
+                result = False
+                if p - self.first_finger < self.fingers.count:  # a hash has room for a few more points
+                    result = self.fingers.radius[p - self.first_finger] > 0.0
+        return result
+
+    @ti.func
+    def is_finger(self, p):
+        """True if point p is a sample of a finger."""
+        result = False
+        if ti.static(self.has_fingers):
+            result = p >= self.first_finger
+        return result
+
+    @ti.func
+    def position(self, p, searching: ti.template()):
+        """Position of point p [m], when the substep in progress begins; or when the next one does, in a search."""
+        n, x = self.samples.count[None], vec3(0.0)
+        if self.is_finger(p):
+            if ti.static(self.has_fingers):
+                x = self.fingers.position(p - self.first_finger, searching)
+        elif p < n:
+            x = self.samples.blend(p, self.state.x)
+        else:
+            x = self.capsules.position[p - n]
+        return x
+
+    @ti.func
+    def spares(self, p, body):
+        """True if point p is of a hand that passes through a body."""
+        result = False
+        if ti.static(self.has_fingers):  # noqa: SIM102
+            if self.is_finger(p):
+                result = self.fingers.spares(p - self.first_finger, body)
+        return result
+
+    @ti.func
+    def group(self, p):
+        """Group of point p."""
+        n, g = self.samples.count[None], 0
+        if self.is_finger(p):
+            if ti.static(self.has_fingers):
+                g = STATIC_GROUPS + self.fingers.capsule_of(p - self.first_finger)
+        elif p < n:
+            g = self.samples.body[p]
+        else:
+            g = self.capsules.group[p - n]
+        return g
+
+    @ti.func
+    def group_count(self):
+        """Number of groups that there are."""
+        return self.state.body_count[None] + self.capsules.capsule_count[None] + self.finger_groups
+
+    @ti.func
+    def group_at(self, k):
+        """The k-th group that there is."""
+        n, m, g = self.state.body_count[None], self.capsules.capsule_count[None], k
+        if k >= n + m:
+            g = STATIC_GROUPS + k - n - m
+        elif k >= n:
+            g = MAX_BODIES + k - n
+        return g
+
+    @ti.func
+    def is_group(self, g):
+        """True if there is a group g."""
+        capsules = MAX_BODIES + self.capsules.capsule_count[None]
+        return g < self.state.body_count[None] or MAX_BODIES <= g < capsules or g >= STATIC_GROUPS
+
+    @ti.func
+    def box(self, g):
+        """Box of group g's points [m], low and high, and of their velocities [m/s], v_min and v_max.
+
+        A finger's box is that of all that it can touch until the next search, and does not move.
+        """
+        low, high, v_min, v_max = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
+        if g < MAX_BODIES:
+            low, high, v_min, v_max = (
+                self.bounds.low[g],
+                self.bounds.high[g],
+                self.bounds.v_min[g],
+                self.bounds.v_max[g],
+            )
+        elif g >= STATIC_GROUPS:
+            if ti.static(self.has_fingers):
+                low, high = self.fingers.low[g - STATIC_GROUPS], self.fingers.high[g - STATIC_GROUPS]
+        else:
+            low, high = self.capsules.low[g - MAX_BODIES], self.capsules.high[g - MAX_BODIES]
+        return low, high, v_min, v_max
+
+    @ti.func
+    def reach(self, g):
+        """Distance [m] from its points at which group g touches: a capsule's radius, with a finger's motion."""
+        result = 0.0
+        if g >= STATIC_GROUPS:
+            if ti.static(self.has_fingers):
+                result = self.fingers.reach[g - STATIC_GROUPS]
+        elif g >= MAX_BODIES:
+            result = self.capsules.capsule_radius[g - MAX_BODIES]
+        return result

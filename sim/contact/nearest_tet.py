@@ -1,7 +1,10 @@
 """Nearest-tetrahedron query: the tet of another body that holds each contact sample or may come to it.
 
-The query points and their groups are those of sim/contact/query_points.py; a point looks for tets of other groups, and
-of its own body where that may touch itself (sim/contact/self_collision.py).
+The points and their groups are the QueryPoints of sim/contact/contact_samples.py; a point looks for tets of other
+groups, and of its own body where that may touch itself (SelfCollision in sim/contact/broad_phase.py). Of such a pair,
+those close together at rest never meet: they are neighbours, and the narrow phase leaves them out too. Others stay
+apart if an axis that separates them still does so when both have moved on at their velocities: rotation of both, and
+motion past each other, hardly bring them closer along it.
 """
 
 from typing import TYPE_CHECKING
@@ -14,34 +17,133 @@ from core.fields import FieldGroup, Upload
 from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vote
 from core.morton import morton_order
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
-from sim.contact.query_points import QueryPoints
-from sim.contact.self_pairs import bounding_sphere, neighborhood, outside_sphere, stay_apart
-from sim.contact.signed_distance import UNKNOWN_DISTANCE
-from sim.contact.tet_geometry import (
-    MIN_WEIGHT,
-    NO_TET,
-    distance_outside,
-    face_normals,
-    tet_edges,
-    tet_key,
-    tet_neighbors,
-    tet_of_key,
-    worst_face,
-)
+from sim.contact.contact_samples import QueryPoints
+from sim.contact.static_shapes import UNKNOWN_DISTANCE
 from sim.model import MAX_BODIES, stacked
 
 if TYPE_CHECKING:
-    from sim.contact.broad_phase import BodyBounds
+    from sim.contact.broad_phase import BodyBounds, SelfCollision
     from sim.contact.contact_samples import CapsuleSamples, ContactSamples
-    from sim.contact.self_collision import SelfCollision
-    from sim.hands.finger_capsules import FingerCapsules
+    from sim.contact.finger_capsules import FingerCapsules
     from sim.model import Model, RestShape
     from sim.state import State
 
+MIN_VOLUME_RATIO = 1e-3  # of the rest volume; of a tet crushed flatter, normals are rounding, and soon overflow
+MIN_WEIGHT = -0.01  # barycentric; below it a point moves on to the neighbouring tet, but not to and fro on a face
+NO_TET = 2**62  # a key above those of all tets
 SEEDS = 64  # tets of a body at which the search from far away begins; from 8, descents into a ring end in dead ends
-
 CELL_SIZE = 2.0  # [median edge] of the hash: few points in a cell, and few cells near a tet
 VISITORS = 8  # threads that share the cells near a tet that may meet a point, on CUDA
+
+
+@ti.func
+def tet_edges(s: ti.template(), t):
+    """Corner 0 of tet t of the state s, and the edges from it [m]."""
+    a = s.tets[t]
+    x0 = s.x[a[0]]
+    return x0, s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
+
+
+@ti.func
+def face_normals(e1, e2, e3):
+    """Outward unit normals of a tet's faces, each opposite its corner; e1, e2, e3 are its edges from corner 0."""
+    n1, n2, n3 = -e2.cross(e3).normalized(), -e3.cross(e1).normalized(), -e1.cross(e2).normalized()
+    return (e2 - e1).cross(e3 - e1).normalized(), n1, n2, n3
+
+
+@ti.func
+def distance_outside(r, e1, n0, n1, n2, n3):
+    """Distance [m] of r, relative to corner 0, beyond the worst face plane: 0 inside, a lower bound outside."""
+    return ti.max(n0.dot(r - e1), n1.dot(r), n2.dot(r), n3.dot(r), 0.0)
+
+
+@ti.func
+def worst_face(r, e1, n0, n1, n2, n3):
+    """Unit normal of the face plane beyond which r, relative to corner 0, is farthest, or least inside."""
+    worst, normal = n0.dot(r - e1), n0
+    for n in ti.static((n1, n2, n3)):
+        if n.dot(r) > worst:
+            worst, normal = n.dot(r), n
+    return normal
+
+
+@ti.func
+def tet_key(distance, t):
+    """64-bit key that orders tets by distance [m], in steps of 1e-7 m, then by index: for an atomic minimum."""
+    return (ti.cast(distance * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)
+
+
+@ti.func
+def tet_of_key(key):
+    """Index of the tet of a key, -1 for NO_TET."""
+    return -1 if key == ti.i64(NO_TET) else ti.cast(key & ti.i64(0x7FFFFFFF), ti.i32)
+
+
+@ti.func
+def rest_coordinates(s: ti.template(), t, x):
+    """Barycentric and rest coordinates of the point x in tet t of the state s.
+
+    Returns whether the tet has enough volume for them; the weights b (4,); the rest position X [m]; the gradients g_j
+    of b_1..b_3 [1/m] and the rest edges E_j [m], by which `deformed_gradient` maps gradients.
+    """
+    a = s.tets[t]
+    x0, X0 = s.x[a[0]], s.rest[a[0]]
+    e1, e2, e3 = s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
+    E1, E2, E3 = s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0
+    det = e1.dot(e2.cross(e3))
+    g1, g2, g3, X = E1, E2, E3, X0
+    b = ti.Vector([1.0, 0.0, 0.0, 0.0])
+    thick = det > MIN_VOLUME_RATIO * E1.dot(E2.cross(E3))
+    if thick:
+        g1, g2, g3 = e2.cross(e3) / det, e3.cross(e1) / det, e1.cross(e2) / det
+        d = x - x0
+        b1, b2, b3 = g1.dot(d), g2.dot(d), g3.dot(d)
+        b = ti.Vector([1.0 - b1 - b2 - b3, b1, b2, b3])
+        X = X0 + b1 * E1 + b2 * E2 + b3 * E3
+    return thick, b, X, g1, g2, g3, E1, E2, E3
+
+
+@ti.func
+def deformed_gradient(N, g1, g2, g3, E1, E2, E3):
+    """F^-T N = sum_j g_j (E_j . N): a gradient N in the rest shape, carried to the deformed one."""
+    return g1 * E1.dot(N) + g2 * E2.dot(N) + g3 * E3.dot(N)
+
+
+@ti.func
+def bounding_sphere(field: ti.template(), a):
+    """Centre and radius of a sphere around the values of a vec3 field at four vertices a."""
+    center, radius = vec3(0.0), 0.0
+    for j in ti.static(range(4)):
+        center += 0.25 * field[a[j]]
+    for j in ti.static(range(4)):
+        radius = ti.max(radius, (field[a[j]] - center).norm())
+    return center, radius
+
+
+@ti.func
+def neighborhood(s: ti.template(), t, distance):
+    """Centre and radius [m] of a sphere around tet t at rest: of its body, points within never meet the tet.
+
+    Its radius is `distance`, or what the narrow phase takes for a neighbour: half of that beyond the tet.
+    """
+    center, radius = bounding_sphere(s.rest, s.tets[t])
+    return center, ti.max(distance, radius + 0.5 * distance)
+
+
+@ti.func
+def outside_sphere(p, center, radius):
+    """Distance of p outside of a sphere; negative inside."""
+    return (p - center).norm() - radius
+
+
+@ti.func
+def stay_apart(s: ti.template(), x, v, t, axis):
+    """True if a unit axis goes on separating tet t of the state s and a point of its body at x [m], at v [m/s]."""
+    a, gap, closing = s.tets[t], UNKNOWN_DISTANCE, 0.0
+    for j in ti.static(range(4)):
+        gap = ti.min(gap, axis.dot(x - s.x[a[j]]))
+        closing = ti.max(closing, axis.dot(s.v[a[j]] - v))
+    return gap >= CONTACT_MARGIN + closing * s.detect_dt[None]
 
 
 @ti.data_oriented
@@ -420,3 +522,14 @@ def compact_runs(shape: "RestShape", length: int) -> np.ndarray:
     """The tets of a rest shape in runs of this length, each of tets close to one another; -1 fills the last one."""
     order = morton_order(shape.vertices[shape.tets].mean(axis=1))
     return np.concatenate([order, np.full(-len(order) % length, -1)])
+
+
+def tet_neighbors(tets: np.ndarray) -> np.ndarray:
+    """Tet across the face opposite each corner, -1 at the surface, (T, 4) int32."""
+    faces = np.sort(tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(1)
+    result = np.full(4 * len(tets), -1, np.int32)
+    a, b = order[:-1][same], order[1:][same]
+    result[a], result[b] = b // 4, a // 4
+    return result.reshape(-1, 4)

@@ -27,7 +27,7 @@ from sim.reductions import ReductionBlocks
 from sim.state import State
 
 if TYPE_CHECKING:
-    from sim.contact.contacts import Contacts
+    from sim.contacts import Contacts
 
 # Of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3); f (1), f r (3), f r_k^2 (3), f r_k r_l (3)
 DAMPING_SUMS = 25

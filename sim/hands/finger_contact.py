@@ -1,7 +1,7 @@
 """Contact of finger capsules with soft and rigid bodies: forces, what a hand passes through, and rigid bodies.
 
-Each sample (sim/hands/finger_capsules.py) has a contact constraint with the tet that is nearest to it, which
-sim/contact/nearest_tet.py finds and sim/contact/deformable_contact.py evaluates, and another one with the nearest rigid
+Each sample (sim/contact/finger_capsules.py) has a contact constraint with the tet that is nearest to it, which
+sim/contact/nearest_tet.py finds and sim/contact/narrow_phase.py evaluates, and another one with the nearest rigid
 body. With u = displacement / substeps the motion of a sample at c in this substep and r its radius, it asks for
 
     phi(c) - r + n . (u - y) >= 0,   y the motion of the body there,
@@ -19,10 +19,10 @@ from taichi.math import vec3
 from core.fields import FieldGroup
 from core.vocabulary import Hand
 from sim.contact.broad_phase import outside_box
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
-from sim.hands.finger_capsules import MAX_SAMPLE_FORCE, SAMPLES_PER_HAND, FingerCapsules
-from sim.hands.grasp_state import MAX_HAND_FORCE
-from sim.rigid.rigid_motion import FREE
+from sim.contact.finger_capsules import MAX_SAMPLE_FORCE, SAMPLES_PER_HAND, FingerCapsules
+from sim.contact.static_shapes import UNKNOWN_DISTANCE, known
+from sim.hands.grasp import MAX_HAND_FORCE
+from sim.rigid.rigid_bodies import FREE
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds

@@ -1,4 +1,4 @@
-"""Grasps: what each hand holds, and the springs that hold it.
+"""Grasps: what each hand holds, the springs that hold it, and throws.
 
 A held vertex i is tied to its position p in the hand's frame by a critically damped spring. The springs of one hand
 together carry the whole body, of mass M, at omega = SPRING_OMEGA (or faster, a body lighter than MIN_SPRING_MASS):
@@ -9,37 +9,175 @@ together carry the whole body, of mass M, at omega = SPRING_OMEGA (or faster, a 
 per mass of vertex, and are integrated implicitly in each substep, with the hand's pose interpolated to the substep:
 
     dx' = dx + dt^2 (kappa (p - x - dx') + gamma (p_dot - x_dot')),   x_dot' = (dx' - x_lo) / dt
+
+A rigid body hangs on one spring for its centre of mass and one for its attitude. A body that a hand lets go of is
+thrown: fingers slow down as they open, and a soft body swings on its springs, so neither the hand's last velocity nor
+the body's is what the user means. The rigid part of its motion becomes the straight line through the hand's last poses.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
+from scipy.spatial.transform import Rotation
 
+from core import quaternion
 from core.fields import Download, FieldGroup
+from core.rotation import matrices_from_quaternions
 from core.vocabulary import Hand
-from sim.hands.grasp_state import (
-    MAX_HAND_FORCE,
-    MIN_SPRING_MASS,
-    SPRING_OMEGA,
-    GraspState,
-    extended,
-    find_grasp,
-    has_pose,
-    pose,
-)
-from sim.hands.throw import THROW_WINDOW, throw_velocities
 from sim.model import stacked
 
 if TYPE_CHECKING:
-    from sim.hands.grasp_state import Grasp, PoseHistory
     from sim.model import Model
     from sim.state import State
 
+SPRING_OMEGA = 2.0 * math.pi * 20.0  # [rad/s] of the whole body on its springs: stiffer than an arm, softer than a pin
+MIN_SPRING_MASS = 0.2  # [kg]; lighter bodies are held as firmly, with 3 N/mm, so that they too can be squeezed
+MAX_HAND_FORCE = 80.0  # [N] of one hand: a firm pull
+MIN_GRASP_VERTICES = 4  # one more than fix a body's attitude
+MAX_WIDENING = 1.5  # times the reach, where a coarse cage has fewer vertices within reach
+MAX_HAND_TORQUE = 0.1 * MAX_HAND_FORCE  # [N m] of one hand: its force at the width of a hand
+THROW_WINDOW = 0.08  # [s] before the release that decide: longer than fingers take to open
 MAX_HAND_JUMP = 1.0  # [m] in a frame; faster than any arm, so the tracking was lost
 TRACKING_TIMEOUT = 0.25  # [s] that a hand is held where it was lost
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """One hand's grasp: some vertices (n,) of a body, and their positions in the hand's frame [m], (n, 3)."""
+
+    body: int
+    vertices: np.ndarray
+    positions: np.ndarray
+
+
+PoseHistory = tuple[tuple[float, tuple[float, ...]], ...]  # ages [s] and poses (position, quaternion), oldest first
+
+
+@dataclass(frozen=True)
+class GraspState:
+    """State of all hands: grasps (None for nothing), last inputs, pose histories, and times since when each is lost."""
+
+    grasps: tuple[Grasp | None, ...]
+    last: tuple[Hand | None, ...]
+    histories: tuple[PoseHistory, ...]
+    lost: tuple[float, ...]
+
+    @classmethod
+    def none(cls, hands: int) -> "GraspState":
+        """State of open hands that were never tracked."""
+        return cls((None,) * hands, (None,) * hands, ((),) * hands, (0.0,) * hands)
+
+    def renumbered(self, index: list[int | None]) -> "GraspState":
+        """The same after bodies were renumbered: index[old] is the new one, None if it is gone, and so is the grasp."""
+        kept = [None if g is None or index[g.body] is None else replace(g, body=index[g.body]) for g in self.grasps]
+        return replace(self, grasps=tuple(kept))
+
+    def shifted(self, body: int, shift: np.ndarray) -> "GraspState":
+        """The same after the vertices of a body were moved by (V, 3) [m], so that the hands do not pull them back."""
+        grasps = list(self.grasps)
+        for h, grasp in enumerate(grasps):
+            if grasp is not None and grasp.body == body:
+                world_from_hand = matrices_from_quaternions(unit(self.last[h].rotation))
+                grasps[h] = replace(grasp, positions=grasp.positions + shift[grasp.vertices] @ world_from_hand)
+        return replace(self, grasps=tuple(grasps))
+
+
+def unit(quaternion) -> np.ndarray:
+    """The quaternion (4,), normalised, float64."""
+    q = np.asarray(quaternion, np.float64)
+    return q / np.linalg.norm(q)
+
+
+def pose(hand: Hand) -> np.ndarray:
+    """Position and unit quaternion of a hand, (7,)."""
+    return np.concatenate([np.asarray(hand.position, np.float64), unit(hand.rotation)])
+
+
+def has_pose(hand: Hand) -> bool:
+    """True if a hand has a finite pose."""
+    values = np.array([*hand.position, *hand.rotation], np.float64)
+    return bool(np.isfinite(values).all() and np.linalg.norm(values[3:]) > 1e-6)
+
+
+def extended(history: PoseHistory, dt: float, hand: Hand, max_age: float) -> PoseHistory:
+    """The history after dt [s], with the hand's pose of now and without poses older than max_age [s]."""
+    aged = ((age + dt, at) for age, at in history)
+    return (*((age, at) for age, at in aged if age <= max_age + 1e-6), (0.0, tuple(pose(hand).tolist())))
+
+
+def find_grasp(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, weights: np.ndarray) -> Grasp | None:
+    """Grasp of a closing hand: the vertices within reach of the nearest body that is within reach itself.
+
+    x (V, 3) are all vertices [m], of body b those from offsets[b] to offsets[b+1]; ids, weights (P, 3) the samples of
+    the surfaces. A coarse mesh may have few vertices within reach, or none of the triangle that is touched.
+    """
+    position, nearest = np.asarray(hand.position, np.float64), (np.inf, -1)
+    offsets = np.asarray(offsets)
+    filled = np.flatnonzero(np.diff(offsets))
+    if len(filled) == 0:
+        return None
+    low, high = (extreme.reduceat(x, offsets[filled], axis=0) for extreme in (np.minimum, np.maximum))
+    outside = np.linalg.norm(np.maximum(np.maximum(low - position, position - high), 0.0), axis=1)
+    for body in filled[outside <= hand.reach]:
+        mine = x[offsets[body] : offsets[body + 1]]
+        distance = lengths(mine - position)
+        of_body = (ids[:, 0] >= offsets[body]) & (ids[:, 0] < offsets[body + 1])
+        own = ids[of_body] - offsets[body]
+        surface = lengths(np.einsum("pk,pkc->pc", weights[of_body], mine[own]) - position)
+        least = min(distance.min(), surface.min(initial=np.inf))
+        if least <= hand.reach and least < nearest[0]:
+            nearest = least, body, mine, distance, own, surface
+    if nearest[1] < 0:
+        return None
+    _, body, mine, distance, own, surface = nearest
+    taken = np.flatnonzero(distance <= hand.reach)
+    if len(taken) < MIN_GRASP_VERTICES:
+        taken = np.argsort(distance, kind="stable")[:MIN_GRASP_VERTICES]
+        taken = taken[distance[taken] <= MAX_WIDENING * hand.reach]
+    if len(taken) == 0:
+        taken = np.unique(own[np.argmin(surface)])
+    positions = (mine[taken] - position) @ matrices_from_quaternions(unit(hand.rotation))
+    return Grasp(int(body), taken, positions)
+
+
+def lengths(v: np.ndarray) -> np.ndarray:
+    """Lengths of vectors (N, 3); np.linalg.norm takes seven times as long."""
+    return np.sqrt(np.einsum("nc,nc->n", v, v))
+
+
+def hand_motion(history: tuple[tuple[float, tuple[float, ...]], ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position [m], velocity [m/s] and angular velocity [rad/s] of a hand, by least squares.
+
+    history: ages [s] of its last poses (position, quaternion wxyz), at least two; the position is the last one.
+    """
+    t = -np.array([age for age, _ in history])
+    poses = np.array([pose for _, pose in history], np.float64)
+    attitudes = Rotation.from_quat(poses[:, 3:], scalar_first=True)
+    rotations = (attitudes * attitudes[-1].inv()).as_rotvec()
+    t = t - t.mean()
+    slopes = t @ np.hstack([poses[:, :3], rotations]) / (t @ t)
+    return poses[-1, :3], slopes[:3], slopes[3:]
+
+
+def throw_velocities(history, x: np.ndarray, v: np.ndarray, mass: np.ndarray, max_impulse: float) -> np.ndarray:
+    """Change of the velocities v of a body's vertices at x, (V, 3), by which it moves on with the hand [m/s], (V, 3).
+
+    Its root mean square is at most `max_impulse` [N s] over the mass of the body: what the hand could have given it.
+    """
+    M = mass.sum()
+    c, v_c = mass @ x / M, mass @ v / M
+    r = x - c
+    square = (r**2).sum(1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None, :]
+    inertia = np.einsum("i,ijk->jk", mass, square)
+    inertia += (1e-6 * np.trace(inertia) + 1e-12) * np.eye(3)
+    omega_body = np.linalg.solve(inertia, mass @ np.cross(r, v))
+    position, velocity, omega = hand_motion(history)
+    change = velocity + np.cross(omega, c - position) - v_c + np.cross(omega - omega_body, r)
+    size = np.sqrt(mass @ (change**2).sum(1) / M)
+    return change * min(1.0, max_impulse / M / max(size, 1e-12))
 
 
 @ti.data_oriented
@@ -77,7 +215,7 @@ class Grasps:
         """The body that each hand holds, -1 for none."""
         return [-1 if grasp is None else grasp.body for grasp in self.grasps]
 
-    def get_state(self) -> GraspState:
+    def get_state(self) -> "GraspState":
         """The grasps, as a value."""
         return GraspState(tuple(self.grasps), tuple(self.last), tuple(self.histories), tuple(self.lost))
 
@@ -93,7 +231,7 @@ class Grasps:
     def begin_frame(self, hands: list[Hand | None], dt: float, moving: bool) -> None:
         """Take the hands' poses after dt [s]; grasp and release.
 
-        A hand that opens throws a body that no other hand holds, if bodies are `moving` (sim/hands/throw.py). A
+        A hand that opens throws a body that no other hand holds, if bodies are `moving`. A
         missing hand opens and throws nothing. One that is None, or has no finite pose, holds still; so does one that
         holds something and is suddenly MAX_HAND_JUMP away, until it is back or, after TRACKING_TIMEOUT, opens.
         """
@@ -261,3 +399,103 @@ class Grasps:
             self._hold(0, self.grasps[0])
             self._set_poses(np.zeros((self.count, 2, 7), np.float32))  # each frame that needs them sets them
             self._add(0, 0, np.zeros((1, 3), np.float32))
+
+
+@ti.data_oriented
+class RigidGrasp:
+    """Grasps of rigid bodies: a spring holds the whole body in the hand's frame.
+
+        a = (kappa (p - x - dx) + gamma (step + x_lo - dx)) / (1 + kappa + gamma)
+        kappa = (omega dt)^2 max(1, MIN_SPRING_MASS / M)
+
+    for the centre of mass, which the hand wants at p and to move by `step` in this substep, and alike for the attitude.
+
+    body i32[H]: the rigid body that each hand holds, -1 none;   position vec3 [m] and attitude vec4 in its frame.
+
+    force vec3[H] [N]: of the last substep, on the body.   grasps: the hands' poses and grasps, None without hands.
+    """
+
+    def __init__(self, state: "State", grasps):
+        self.state, self.grasps = state, grasps
+        self.count = 0 if grasps is None else grasps.count
+        H, group = max(self.count, 1), FieldGroup()
+        self.body, self.position, self.force = group.scalar(H, dtype=ti.i32), group.vector(H), group.vector(H)
+        self.attitude = group.vector(H, n=4)
+        self._group = group
+        group.build()
+        self.reset()
+
+    def reset(self) -> None:
+        """Open all hands."""
+        self.held = [-1] * self.count
+        self.body.fill(-1)
+        self.force.fill(0.0)
+
+    def update(self, rigid_bodies) -> None:
+        """Update grasps and releases at the beginning of a frame."""
+        grasped = self.grasps.grasped_bodies() if self.count else []
+        for h, b in enumerate(grasped):
+            b = b if b >= 0 and rigid_bodies.bodies[b].body.rigid else -1
+            if b != self.held[h]:
+                self.held[h] = b
+                self._take(rigid_bodies, h, b)
+
+    @ti.kernel
+    def _take(self, m: ti.template(), h: ti.i32, b: ti.i32):
+        """Hold body b where it is now in the frame that hand h has at the begin of the frame."""
+        self.body[h], self.force[h] = b, 0.0
+        if b >= 0:
+            back = quaternion.conjugate(self.grasps.rotation[h, 0])
+            self.position[h] = quaternion.to_matrix(back) @ (m.x[b] - self.grasps.position[h, 0])
+            self.attitude[h] = quaternion.multiply(back, m.q[b])
+
+    @ti.func
+    def _target(self, h, f):
+        """Position [m] and attitude that hand h wants of its body at a fraction of the frame."""
+        a, b = self.grasps.rotation[h, 0], self.grasps.rotation[h, 1]
+        q = ti.math.mix(a, b if a.dot(b) >= 0.0 else -b, f).normalized()
+        p = ti.math.mix(self.grasps.position[h, 0], self.grasps.position[h, 1], f)
+        return p + quaternion.to_matrix(q) @ self.position[h], quaternion.multiply(q, self.attitude[h])
+
+    @ti.func
+    def apply_springs(self, m: ti.template(), b):
+        """Add the springs of all hands that hold free body b of the RigidBodies m to its increments."""
+        if ti.static(self.count > 0):
+            for h in range(self.count):
+                if self.body[h] == b:
+                    self._apply_spring(m, h, b)
+
+    @ti.func
+    def _apply_spring(self, m: ti.template(), h, b):
+        s = self.state
+        dt, n = s.dt[None], ti.cast(s.substeps[None], ti.f32)
+        f = ti.cast(s.substep_index[None] + 2, ti.f32) / n  # the substep index is still that of the one before
+        p, q = self._target(h, f)
+        p_before, q_before = self._target(h, f - 1.0 / n)
+        light = ti.max(1.0, MIN_SPRING_MASS * m.inv_mass[b])
+        kappa = SPRING_OMEGA * SPRING_OMEGA * dt * dt * light
+        gamma = 2.0 * SPRING_OMEGA * dt * ti.sqrt(light)
+        implicit = 1.0 / (1.0 + kappa + gamma)
+        d, rotation = m.dx[b], m.rotation[b]
+        a = implicit * (kappa * (p - m.x[b] - d) + gamma * (p - p_before + m.x_lo[b] - d))
+        a *= ti.min(1.0, MAX_HAND_FORCE * m.inv_mass[b] * dt * dt / ti.max(a.norm(), 1e-20))
+        twist = quaternion.rotation_vector_between(q, m.q[b]) - rotation
+        alpha = implicit * (kappa * twist + gamma * (quaternion.rotation_vector_between(q, q_before) - rotation))
+        R = m.R[b]
+        torque = R @ (m.inertia[b] @ (R.transpose() @ alpha)) / (dt * dt)
+        alpha *= ti.min(1.0, MAX_HAND_TORQUE / ti.max(torque.norm(), 1e-20))
+        m.dx[b] += a
+        m.rotation[b] += alpha
+        self.force[h] = a / (m.inv_mass[b] * dt * dt)
+
+    def forces(self) -> list:
+        """Force of each hand on the rigid body that it holds [N], (3,), in the last substep."""
+        if self.held == [-1] * self.count:
+            return [np.zeros(3)] * self.count
+        return list(self.force.to_numpy()[: self.count])
+
+    def warm_up(self, rigid_bodies) -> None:
+        """See Solver.warm_up."""
+        self.force.to_numpy()
+        if -1 in self.held:
+            self._take(rigid_bodies, self.held.index(-1), -1)

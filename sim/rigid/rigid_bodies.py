@@ -1,4 +1,4 @@
-"""Rigid bodies: pose and momentum of each, and their motion in a substep (Mueller, Macklin et al. 2020).
+"""Rigid bodies: pose and momentum of each, their motion in a substep (Mueller, Macklin et al. 2020), and their shapes.
 
 As for vertices (sim/state.py), a substep works on increments, here of the centre of mass and of the attitude:
 
@@ -15,32 +15,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
+from taichi.math import vec3
 
 from core import quaternion
 from core.errors import BadInput
-from core.fields import FieldGroup, Upload
+from core.fields import FieldGroup, Upload, two_sum
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
 from sim.contact.constraints import STEPS_PER_METER
-from sim.contact.response import angular_inv_mass
+from sim.contact.contact_samples import points_of
+from sim.contact.response import CONTACT_SLOP, angular_inv_mass
+from sim.contact.static_shapes import UNKNOWN_DISTANCE, box_distance
 from sim.elastic.substep import Constraint
 from sim.model import MAX_BODIES
-from sim.rigid.rigid_grasp import RigidGrasp
-from sim.rigid.rigid_motion import (
-    DRIVEN,
-    FREE,
-    SOFT,
-    commit_body,
-    follow_target,
-    place_vertex,
-    predict_body,
-    update_rotation,
-)
 
 if TYPE_CHECKING:
-    from sim.model import BodyModel, Model
+    from sim.contact.contact_samples import ContactSamples
+    from sim.contact.static_shapes import DistanceGrids
+    from sim.model import BodyModel, Model, RestShape
     from sim.rigid.rigid_body import RigidBody
     from sim.state import State
 
+SOFT, FREE, DRIVEN = range(3)  # kinds of bodies
+MAX_ROTATION = 0.5  # [rad] a substep; beyond, the attitude's increments, of first order, mean nothing
 SUBSTEP_PER_PASS = 1.6e-4  # [s] of a substep for each pass over the constraints; with 2e-4 a stack rebounds too low
 MAX_RIGID_SUBSTEP = 5e-4  # [s] for each sweep, with rigid bodies: the contacts of a stack converge over sweeps
 
@@ -63,9 +59,9 @@ class RigidBodies(Constraint):
     has_pairs = True
     phase_sizes = (MAX_BODIES,)
 
-    def __init__(self, state: "State", grasps=None, *, passes: int):
-        """Allocate for MAX_BODIES; grasps: those of sim/hands/grasp.py, None without hands; passes: see constraints."""
-        self.state, self.passes = state, passes
+    def __init__(self, state: "State", grasp, *, passes: int):
+        """Allocate for MAX_BODIES; grasp: the springs of the hands (RigidGrasp); passes: over the constraints."""
+        self.state, self.grasp, self.passes = state, grasp, passes
         group, B = FieldGroup(), MAX_BODIES
         self.kind, self.split_count, self.sweep, self.sweep_substep = (group.scalar(B, dtype=ti.i32) for _ in range(4))
         self.inv_mass, self.restitution, self.max_step = (group.scalar(B) for _ in range(3))
@@ -79,7 +75,6 @@ class RigidBodies(Constraint):
         self.corrections = group.scalar(B, 1 + passes, 6, dtype=ti.i64)
         self._group = group
         group.build()
-        self.grasp = RigidGrasp(state, grasps)
         constants = [self.kind, self.center, self.inv_mass, self.restitution, self.max_step]
         self._constants = Upload([*constants, self.inertia, self.inverse_inertia])
         self._motion = Upload(
@@ -167,7 +162,7 @@ class RigidBodies(Constraint):
             for j, c in ti.ndrange(1 + self.passes, 6):
                 self.corrections[b, j, c] = 0
             if self.kind[b] != SOFT:
-                update_rotation(self, b)
+                self.update_rotation(b)
 
     @ti.kernel
     def _begin(self, driven: ti.i32):
@@ -185,11 +180,11 @@ class RigidBodies(Constraint):
                     self.v[b] = self.frame_displacement[b] / duration
                     self.angular_velocity[b] = self.frame_rotation[b] / duration
                     self.v_lo[b], self.x_lo[b] = 0.0, 0.0
-                predict_body(self, b)
+                self.predict_body(b)
                 self.sweep_substep[b] = -2
         for i in range(s.V):
             if s.awake_vertex(i) and self.kind[s.body_of_vertex[i]] != SOFT:
-                place_vertex(self, i)
+                self.place_vertex(i)
 
     @ti.func
     def increments(self, b, passed):
@@ -244,10 +239,10 @@ class RigidBodies(Constraint):
                     self.dx[b], self.rotation[b] = d, rotation
             else:
                 if self.kind[b] == FREE:
-                    commit_body(self, b, d, rotation)
+                    self.commit_body(b, d, rotation)
                 else:
-                    follow_target(self, b)
-                predict_body(self, b)
+                    self.follow_target(b)
+                self.predict_body(b)
 
     @ti.func
     def any_active(self):
@@ -259,11 +254,167 @@ class RigidBodies(Constraint):
         return MAX_BODIES
 
     @ti.func
+    def update_rotation(self, b):
+        """Rotation matrix, world inertia and angular velocity, from attitude and angular momentum."""
+        R = quaternion.to_matrix(self.q[b].normalized())
+        self.R[b] = R
+        self.inverse_inertia_world[b] = R @ self.inverse_inertia[b] @ R.transpose()
+        if self.kind[b] == FREE:
+            self.angular_velocity[b] = self.inverse_inertia_world[b] @ self.angular_momentum[b]
+
+    @ti.func
+    def predict_body(self, b):
+        """Increments of the next substep without contacts, and then what the hands add."""
+        s = self.state
+        dt, n = s.dt[None], ti.cast(s.substeps[None], ti.f32)
+        if self.kind[b] == FREE:
+            d = dt * (self.v[b] + (self.v_lo[b] + dt * s.gravity[None])) + self.x_lo[b]
+            half = quaternion.rotation_increment(0.5 * dt * self.angular_velocity[b], self.q[b])
+            R = quaternion.to_matrix((self.q[b] + half).normalized())
+            rotation = dt * (R @ (self.inverse_inertia[b] @ (R.transpose() @ self.angular_momentum[b])))
+            self.dx_predicted[b], self.rotation_predicted[b] = d, rotation
+            self.dx[b], self.rotation[b] = d, rotation
+            self.grasp.apply_springs(self, b)
+        else:
+            self.dx[b], self.rotation[b] = self.frame_displacement[b] / n + self.x_lo[b], self.frame_rotation[b] / n
+
+    @ti.func
     def place_vertex(self, i):
-        """Put vertex i of a rigid body where the committed pose has it."""
-        place_vertex(self, i)
+        """Put vertex i of a rigid body where its body has it."""
+        s = self.state
+        b = s.body_of_vertex[i]
+        r = self.R[b] @ (s.rest[i] - self.center[b])
+        s.x[i], s.v[i] = self.x[b] + (r + self.x_lo[b]), self.v[b] + self.angular_velocity[b].cross(r)
+        s.x_lo[i], s.v_lo[i], s.dx[i] = 0.0, 0.0, 0.0
+
+    @ti.func
+    def commit_body(self, b, d, rotation):
+        """Commit the increments of centre d [m] and attitude [rad] of a free body."""
+        s = self.state
+        dt = s.dt[None]
+        change = dt * s.gravity[None] + (d - self.dx_predicted[b]) / dt
+        v, v_lo = two_sum(self.v[b], self.v_lo[b] + change)
+        speed, limit = v.norm(), self.max_step[b] / dt
+        if speed > limit:
+            v, v_lo = v * (limit / speed), 0.0 * v
+        self.v[b], self.v_lo[b] = v, v_lo
+        self.x[b], self.x_lo[b] = two_sum(self.x[b], dt * (v + v_lo) + self.x_lo[b])
+        R = self.R[b]
+        gain = (rotation - self.rotation_predicted[b]) / dt
+        self.angular_momentum[b] += R @ (self.inertia[b] @ (R.transpose() @ gain))
+        q = ti.cast(self.q[b], ti.f64)
+        excess = ti.cast(q.norm_sqr() - 1.0, ti.f32)
+        change_q = quaternion.rotation_increment(rotation, self.q[b]) - 0.5 * excess * self.q[b]
+        self.q[b], self.q_lo[b] = two_sum(self.q[b], change_q + self.q_lo[b])
+        self.update_rotation(b)
+        angle = self.angular_velocity[b].norm() * dt
+        if angle > MAX_ROTATION:
+            self.angular_momentum[b] *= MAX_ROTATION / angle
+            self.angular_velocity[b] *= MAX_ROTATION / angle
+
+    @ti.func
+    def follow_target(self, b):
+        """Put a driven body where it is at the end of this substep."""
+        s = self.state
+        f = ti.cast(s.substep_index[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
+        self.x[b], self.x_lo[b] = two_sum(self.frame_x[b], f * self.frame_displacement[b])
+        turn = quaternion.rotation_increment(f * self.frame_rotation[b], self.frame_q[b])
+        self.q[b] = (self.frame_q[b] + turn).normalized()
+        self.update_rotation(b)
 
 
 def passes_for(substep: float) -> int:
     """Passes over the constraints that a substep [s] needs."""
     return math.ceil(substep / SUBSTEP_PER_PASS - 1e-6)
+
+
+@ti.data_oriented
+class RigidShapes:
+    """Collision shapes of rigid bodies: exact boxes, or distance grids, in the body's frame.
+
+    boxed i32[B], half vec3[B] [m];   outward vec3[P]: surface normal of a rigid body at a sample, in its frame.
+
+    On a corner or an edge `outward` is the mean of the faces that meet there; 0 for samples of soft bodies.
+    """
+
+    def __init__(self, rigid_bodies: "RigidBodies", samples: "ContactSamples", grids: "DistanceGrids"):
+        self.rigid_bodies, self.samples, self.grids = rigid_bodies, samples, grids
+        group = self._group = FieldGroup()
+        self.boxed, self.half = group.scalar(MAX_BODIES, dtype=ti.i32), group.vector(MAX_BODIES)
+        self.outward = group.vector(samples.capacity)
+        group.build()
+        self._upload = Upload([self.boxed, self.half, self.outward])
+
+    def load(self, model: "Model") -> None:
+        """Take the shapes of these bodies."""
+        shapes = model.shapes
+        half = [s.vertices.max(0) if s.boxed else np.zeros(3) for s in shapes]
+        outward = [s.once(outward_of, self.samples.spacing) for s in shapes]
+        self._upload([[s.boxed for s in shapes], half, np.concatenate([np.zeros((0, 3)), *outward])])
+
+    @ti.func
+    def normal(self, p):
+        """Surface normal at sample p in the world; 0 on soft bodies."""
+        n = vec3(0.0)
+        b = self.samples.body[p]
+        if self.rigid_bodies.kind[b] != 0:
+            n = self.rigid_bodies.R[b] @ self.outward[p]
+        return n
+
+    @ti.func
+    def distance(self, b, x, facing):
+        """Signed distance [m] from x to body b and outward unit normal; UNKNOWN_DISTANCE, 0 where a grid has none."""
+        m = self.rigid_bodies
+        R = m.R[b]
+        q = R.transpose() @ ((x - m.x[b]) - m.x_lo[b]) + m.center[b]
+        phi, normal = UNKNOWN_DISTANCE, vec3(0.0)
+        if self.boxed[b]:
+            phi, normal = bearing_distance(q, self.half[b], R.transpose() @ facing)
+        else:
+            value, gradient = self.grids.sample(b, q)
+            length = gradient.norm()
+            if length > 0.0:
+                phi, normal = value, gradient / length
+        return phi, R @ normal
+
+
+@ti.func
+def bearing_distance(p, half, facing):
+    """Distance and normal of the box |p| <= half for a point of a surface that faces `facing` (0: unknown).
+
+    Inside the box, and up to CONTACT_SLOP beside it, the nearest of those faces counts that the surface can rest on.
+    Without this, the corners of a box that stands on an equal one would be pushed off sideways.
+    """
+    phi, normal = box_distance(p, half)
+    q = abs(p) - half
+    if q.max() < CONTACT_SLOP:
+        best = -UNKNOWN_DISTANCE
+        for k in ti.static(range(3)):
+            side = 1.0 if p[k] >= 0.0 else -1.0
+            if side * facing[k] < 0.0 and q[k] > best:
+                best = q[k]
+                normal = vec3(0.0)
+                normal[k] = side
+        phi = best if best > -UNKNOWN_DISTANCE else phi
+    return phi, normal
+
+
+def outward_of(shape: "RestShape", spacing: float) -> np.ndarray:
+    """Unit sum of the different face normals that meet at each sample of a rigid shape, (P, 3)."""
+    points = shape.once(points_of, spacing)
+    result = np.zeros((len(points.ids), 3))
+    if not shape.rigid:
+        return result
+    x, surface = shape.vertices, shape.surface
+    normals = np.cross(x[surface[:, 1]] - x[surface[:, 0]], x[surface[:, 2]] - x[surface[:, 0]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    around: dict[int, set[int]] = {}
+    for t, triangle in enumerate(surface.tolist()):
+        for i in triangle:
+            around.setdefault(i, set()).add(t)
+    for p, (ids, weights) in enumerate(zip(points.ids.tolist(), points.weights, strict=True)):
+        meeting = sorted(set.intersection(*(around[i] for i, w in zip(ids, weights, strict=True) if w > 0)))
+        different = np.unique(np.round(normals[meeting], 6), axis=0)
+        total = different.sum(0)
+        result[p] = total / max(np.linalg.norm(total), 1e-9)
+    return result

@@ -19,18 +19,16 @@ from core.fields import FieldGroup
 from core.lanes import lane_count, rank_lanes, sync_lanes
 from sim.contact.broad_phase import outside_box
 from sim.contact.response import CONTACT_SLOP
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
-from sim.contact.static_shapes import MAX_SHAPES
+from sim.contact.static_shapes import MAX_SHAPES, UNKNOWN_DISTANCE, known
 from sim.model import MAX_BODIES
-from sim.rigid.rigid_motion import FREE, SOFT
+from sim.rigid.rigid_bodies import FREE, SOFT
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds
     from sim.contact.constraints import ContactConstraints
     from sim.contact.contact_samples import ContactSamples
     from sim.contact.static_shapes import StaticShapes
-    from sim.rigid.rigid_bodies import RigidBodies
-    from sim.rigid.rigid_shapes import RigidShapes
+    from sim.rigid.rigid_bodies import RigidBodies, RigidShapes
     from sim.state import State
 
 SLOTS = 4  # shapes that one sample can touch at once: a floor, a wall and two neighbours

@@ -14,11 +14,10 @@ from core.fields import FieldGroup
 from core.lanes import from_lane, lane_count, max_lanes, rank_lanes, sync_lanes
 from sim.contact.constraints import SETTLED
 from sim.contact.response import inverse_mass_matrix, isotropic_contact_impulse, min_normal_motion
-from sim.contact.signed_distance import known
-from sim.contact.static_shapes import MAX_SHAPES
+from sim.contact.static_shapes import MAX_SHAPES, known
 from sim.model import MAX_BODIES
+from sim.rigid.rigid_bodies import SOFT
 from sim.rigid.rigid_broad_phase import WORLD
-from sim.rigid.rigid_motion import SOFT
 
 if TYPE_CHECKING:
     from sim.rigid.rigid_broad_phase import RigidBroadPhase

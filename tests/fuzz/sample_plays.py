@@ -15,7 +15,7 @@ from display.study.questionnaire import QUESTIONS, Answers
 from display.study.study_file import Study
 from display.study.trial import Trial
 from display.user_commands import Duplicate, Pause, Rescale, Rotate, SetInteraction, SetLight, SetMaterial, Undo
-from sim.hands.grasp_state import Grasp, GraspState
+from sim.hands.grasp import Grasp, GraspState
 from tests.display.test_recording import Ball, some_frames
 
 COMMANDS = [

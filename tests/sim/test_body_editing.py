@@ -12,7 +12,7 @@ from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Box, Hand
-from sim.contact.signed_distance import DistanceGrids, grid_of, rest_grid
+from sim.contact.static_shapes import DistanceGrids, grid_of, rest_grid
 from sim.model import BodyModel, Capacity, RestShape, SoftBody
 from sim.solver import Solver
 

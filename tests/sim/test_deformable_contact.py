@@ -8,7 +8,7 @@ from bench.sample_meshes import box, torus
 from bench.setups import run
 from core.material import Material
 from core.vocabulary import Capsule
-from sim.contact.tet_geometry import tet_neighbors
+from sim.contact.nearest_tet import tet_neighbors
 from sim.model import SoftBody
 from sim.solver import Solver
 from tests.support.soft_world import FLOOR, soft_solver

@@ -10,14 +10,14 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Box, Hand, Touch
-from sim.hands.finger_capsules import (
+from sim.contact.finger_capsules import (
     CAPSULES_PER_HAND,
     MAX_RADIUS,
     SAMPLES_PER_CAPSULE,
     capsules_of,
     sample_positions,
 )
-from sim.hands.grasp_state import MAX_HAND_FORCE
+from sim.hands.grasp import MAX_HAND_FORCE
 from sim.model import SoftBody
 from sim.rigid.rigid_body import RigidBody
 from sim.solver import Solver

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from core.vocabulary import Hand
-from sim.hands.grasp_state import MAX_HAND_FORCE
+from sim.hands.grasp import MAX_HAND_FORCE
 from sim.model import SoftBody
 from tests.support.soft_world import soft_solver
 

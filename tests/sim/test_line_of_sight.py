@@ -5,8 +5,7 @@ import pytest
 
 from core.distance_grid import DistanceGrid
 from core.vocabulary import Box, Capsule, Plane
-from sim.contact.line_of_sight import LineOfSight
-from sim.contact.static_shapes import StaticGrid
+from sim.contact.static_shapes import LineOfSight, StaticGrid
 
 TABLE = Box((0.0, 0.73, 0.0), (0.8, 0.015, 0.5))  # a top of 3 cm
 FLOOR = Plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))

@@ -12,8 +12,7 @@ from bench.sample_meshes import torus
 from core.fields import destroy_fields
 from core.material import Material
 from sim.contact.broad_phase import PointHash
-from sim.contact.nearest_tet import CELL_SIZE
-from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
+from sim.contact.nearest_tet import CELL_SIZE, deformed_gradient, rest_coordinates
 from sim.model import SoftBody
 from sim.rigid.rigid_body import RigidBody
 from sim.solver import Solver

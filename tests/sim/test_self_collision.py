@@ -7,7 +7,7 @@ from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand
-from sim.contact.self_collision import can_fold
+from sim.contact.broad_phase import can_fold
 from sim.model import RestShape, SoftBody
 from tests.support.soft_world import soft_solver
 

@@ -5,8 +5,7 @@ import pytest
 import taichi as ti
 
 from sim.contact.broad_phase import CONTACT_MARGIN
-from sim.contact.self_pairs import bounding_sphere, neighborhood, stay_apart
-from sim.contact.tet_geometry import face_normals, tet_edges, worst_face
+from sim.contact.nearest_tet import bounding_sphere, face_normals, neighborhood, stay_apart, tet_edges, worst_face
 
 PAIRS, DT = 400, 1 / 60
 

@@ -12,8 +12,7 @@ from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions
 from core.vocabulary import Box, Capsule, Plane
 from sim.contact.contact_samples import CapsuleSamples, points_of, skin_depth, spacing_for, surface_points, thin_out
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, rest_grid
-from sim.contact.static_shapes import StaticGrid, StaticShapes
+from sim.contact.static_shapes import UNKNOWN_DISTANCE, StaticGrid, StaticShapes, rest_grid
 from sim.model import BodyModel
 from sim.rigid.rigid_body import RigidBody
 
@@ -124,7 +123,7 @@ def test_grid_says_nothing_outside_and_deep_inside(ti_cpu):
 
 def test_outside_its_box_a_grid_is_extrapolated(ti_cpu):
     """A ball's distance, exactly along the axes and by at most sqrt(2) too large anywhere; its box is never nearer."""
-    from sim.contact.signed_distance import DistanceGrids
+    from sim.contact.static_shapes import DistanceGrids
 
     grid, n = sphere_grid(dtype=np.float32), 1000
     grids = DistanceGrids([grid])

@@ -10,8 +10,7 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand
-from sim.hands.grasp import TRACKING_TIMEOUT
-from sim.hands.grasp_state import MAX_HAND_FORCE
+from sim.hands.grasp import MAX_HAND_FORCE, TRACKING_TIMEOUT
 from sim.model import SoftBody
 from sim.solver import Solver
 from tests.support.soft_world import soft_solver

@@ -22,8 +22,7 @@ import numpy as np
 
 from bench.setups import FRAME, G, energies
 from core.vocabulary import Hand, Plane
-from sim.hands.grasp_state import MAX_HAND_FORCE
-from sim.hands.throw import THROW_WINDOW
+from sim.hands.grasp import MAX_HAND_FORCE, THROW_WINDOW
 from sim.model import Capacity
 from sim.solver import Solver
 from tests.soak.soak_acts import (

@@ -15,7 +15,7 @@ from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Hand
-from sim.contact.signed_distance import rest_grid
+from sim.contact.static_shapes import rest_grid
 from sim.model import SoftBody
 
 ARENA = 1.0  # [m] from the middle to each wall

@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench.physics import BAR, bar
 from bench.setups import FRAME, energies, strain_energy
 from core.vocabulary import Hand
-from sim.hands.grasp_state import MAX_HAND_FORCE
-from sim.hands.throw import THROW_WINDOW
+from sim.hands.grasp import MAX_HAND_FORCE, THROW_WINDOW
 from sim.model import BodyModel
 from sim.solver import Solver
 from tests.soak.soak import EnergyAudit, Failure, Works, inverted, soak, work

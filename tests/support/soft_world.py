@@ -4,8 +4,7 @@ import numpy as np
 
 from bench.sample_meshes import box
 from core.vocabulary import Box, Capsule, Plane
-from sim.contact.signed_distance import rest_grid
-from sim.contact.static_shapes import StaticGrid
+from sim.contact.static_shapes import StaticGrid, rest_grid
 from sim.model import Capacity
 from sim.solver import Solver
 

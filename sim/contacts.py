@@ -1,8 +1,8 @@
 """The contact pipeline: bodies against static shapes, one another, themselves, and hands.
 
-Each search (`detect`) is a broad phase (sim/contact/broad_phase.py, swept_bounds.py, self_collision.py) that lists the
-samples that can touch something before the next one. In each substep the narrow phases (static_contact.py,
-deformable_contact.py, sim/rigid/rigid_contact.py, sim/hands/finger_contact.py) evaluate the distances of these only.
+Each search (`detect`) is a broad phase (sim/contact/broad_phase.py) that lists the samples that can touch something
+before the next one. In each substep the narrow phases (sim/contact/narrow_phase.py, sim/rigid/rigid_contact.py,
+sim/hands/finger_contact.py) evaluate the distances of these only.
 On a sample with weights b_i and the motion y = sum_i b_i (dx_i - x_lo_i),
 
     phi(x) + n . x_lo + n . y >= 0
@@ -17,26 +17,22 @@ import numpy as np
 import taichi as ti
 
 from core.vocabulary import Hand
-from sim.contact.broad_phase import BodyBounds
+from sim.contact.broad_phase import BodyBounds, SelfCollision, SweptBounds, can_fold
 from sim.contact.constraints import NO_DISTANCE, NOT_CHECKED, VALID, ContactConstraints, ContactForces
 from sim.contact.contact_samples import ContactSamples, spacing_for
-from sim.contact.deformable_contact import DeformableContact
-from sim.contact.self_collision import SelfCollision, can_fold
-from sim.contact.static_contact import StaticContact
+from sim.contact.finger_capsules import FingerCapsules
+from sim.contact.narrow_phase import DeformableContact, StaticContact
 from sim.contact.static_shapes import MAX_SHAPES, StaticShapes
-from sim.contact.swept_bounds import SweptBounds
 from sim.elastic.substep import Constraint
-from sim.hands.finger_capsules import FingerCapsules
 from sim.hands.finger_contact import FingerContact
 from sim.model import MAX_BODIES, Capacity, fit
+from sim.rigid.rigid_bodies import RigidShapes
 from sim.rigid.rigid_broad_phase import GROUPS, RigidBroadPhase, slot_count
 from sim.rigid.rigid_contact import RigidContacts
-from sim.rigid.rigid_shapes import RigidShapes
 
 if TYPE_CHECKING:
     from sim.contact.static_shapes import Shape
-    from sim.hands.grasp import Grasps
-    from sim.hands.grasp_state import GraspState
+    from sim.hands.grasp import Grasps, GraspState
     from sim.model import Model
     from sim.rigid.rigid_bodies import RigidBodies
     from sim.state import State

@@ -13,8 +13,8 @@ from time import perf_counter
 
 import numpy as np
 
-from bench.html_page import Section, Table
 from core.errors import BadInput
+from core.report import Section, Table
 
 TITLE = "Inpainting"
 WIDTH = 1100  # [px] of a picture on the page, at least

@@ -27,10 +27,10 @@ from bench.bar_figures import (
     quarter_period,
     striped_bar,
 )
-from bench.html_page import Section, Table, html_page
 from bench.inpainting import inpainting_section
 from core.camera import look_at, perspective
 from core.fields import destroy_fields, keep_compiled_kernels
+from core.report import Section, Table, html_page
 from display.picture import pixels_of
 from display.protocol import Frame
 from display.run_stats import plain, run_stats

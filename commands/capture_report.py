@@ -10,8 +10,8 @@ from assets.asset import Asset
 from assets.file_access import atomic_write
 from assets.gaussians import Gaussians
 from assets.room_folder import PICTURE, RoomObject
-from bench.html_page import Section, Table, html_page
 from core.camera import Camera, look_at, perspective
+from core.report import Section, Table, html_page
 from prepare.report_pictures import camera_for
 from prepare.room_capture.captured_background import view_of
 from prepare.room_capture.room_pipeline import PlacedRoom, with_objects

@@ -197,7 +197,7 @@ def _report(path: Path, objects: list[dict], whole: dict) -> None:
     """Write the numbers, a page and a picture."""
     import cv2
 
-    from bench.html_page import Section, Table, html_page
+    from core.report import Section, Table, html_page
 
     sections, sheet = [], []
     for numbers in objects:

@@ -170,7 +170,7 @@ def write_sheet(path: Path, views: list, masks) -> None:
     """Write the masks over their photographs: a picture (.png), or a page (.html). Raises BadInput."""
     import cv2
 
-    from bench.html_page import Section, html_page
+    from core.report import Section, html_page
     from prepare.segment.mask_overlay import contact_sheet, overlays
 
     tiles = overlays(views, masks)

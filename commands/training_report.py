@@ -17,7 +17,7 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
 
     objects  (colours of the masks (K, 3) uint8, ids of the Gaussians): also shows masks beside the Gaussians' objects
     """
-    from bench.html_page import Section, Table, html_page
+    from core.report import Section, Table, html_page
 
     said = _perceptual(numbers, trainer, test)
     with atomic_write(path) as beside:

@@ -11,12 +11,12 @@ from assets.asset import Asset
 from assets.environment import Environment
 from assets.file_access import FOLDER_LOCK, locked_folder
 from assets.gaussians import Gaussians
-from bench.html_page import html_page
 from commands.capture_input import stages_before
 from commands.capture_report import played, spent
 from commands.capture_room import STAGES, RoomMaking, check_points
 from commands.parser import parse
 from core.errors import BadInput
+from core.report import html_page
 from prepare.room_capture.stages import Stages
 from prepare.segment.mask_files import read_masks
 from prepare.train.capture_files import read_capture

@@ -12,7 +12,7 @@ import pytest
 
 from bench import inpainting, paper_figures
 from bench.bar_figures import TwistedBar, crossing_frequency
-from bench.html_page import Section, Table, html_page
+from core.report import Section
 from vrgs import main
 
 
@@ -20,16 +20,6 @@ def pictures(page: str) -> list[np.ndarray]:
     """The pictures that a page holds."""
     found = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     return [cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR) for data in found]
-
-
-def test_a_page_holds_its_pictures_and_escapes_its_texts():
-    red = np.zeros((4, 6, 3), np.uint8)
-    red[..., 0] = 255
-    table = Table(("a", "b"), [("x < y", "1")])
-    page = html_page("A & B", "text", [Section("one", "first", {"red & small": red}, table, "note")])
-    assert "A &amp; B" in page and "x &lt; y" in page and "red &amp; small" in page and "http" not in page
-    (picture,) = pictures(page)
-    assert picture.shape == (4, 6, 3) and (picture == (0, 0, 255)).all()  # OpenCV has blue first
 
 
 def test_pictures_of_a_figure_lose_the_edges_that_all_of_them_leave_empty():

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from prepare.mesh_drawing import PAPER
 from prepare.pipeline import Options, prepare
-from prepare.report import examine, histogram, html_of, length, report_names, texts_of
+from prepare.preparation_report import examine, histogram, html_of, length, report_names, texts_of
 from prepare.report_pictures import HEIGHT, WIDTH
 from tests.support.shells import ball
 

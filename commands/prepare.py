@@ -72,8 +72,8 @@ def run(args: argparse.Namespace) -> None:
     from prepare.environment.environment_pipeline import EnvironmentOptions
     from prepare.orientation.orientation_strip import strip_name
     from prepare.pipeline import Options
-    from prepare.prepared_files import device_vertices, object_file, prepare_environment_file, prepare_file
     from prepare.preparation_report import report_names
+    from prepare.prepared_files import device_vertices, object_file, prepare_environment_file, prepare_file
 
     out = Path(args.out)
     cut = tuple(sorted(set(args.cut or ())))

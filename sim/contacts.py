@@ -11,8 +11,6 @@ is the condition; sim/contact/response.py says what follows. Vertices meet stati
 triangles, and samples in other bodies, become contact constraints (sim/contact/constraints.py).
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import taichi as ti
 
@@ -22,20 +20,15 @@ from sim.contact.constraints import NO_DISTANCE, NOT_CHECKED, VALID, ContactCons
 from sim.contact.contact_samples import ContactSamples, spacing_for
 from sim.contact.finger_capsules import FingerCapsules
 from sim.contact.narrow_phase import DeformableContact, StaticContact
-from sim.contact.static_shapes import MAX_SHAPES, StaticShapes
+from sim.contact.static_shapes import MAX_SHAPES, Shape, StaticShapes
 from sim.elastic.substep import Constraint
 from sim.hands.finger_contact import FingerContact
-from sim.model import MAX_BODIES, Capacity, fit
-from sim.rigid.rigid_bodies import RigidShapes
+from sim.hands.grasp import Grasps, GraspState
+from sim.model import MAX_BODIES, Capacity, Model, fit
+from sim.rigid.rigid_bodies import RigidBodies, RigidShapes
 from sim.rigid.rigid_broad_phase import GROUPS, RigidBroadPhase, slot_count
 from sim.rigid.rigid_contact import RigidContacts
-
-if TYPE_CHECKING:
-    from sim.contact.static_shapes import Shape
-    from sim.hands.grasp import Grasps, GraspState
-    from sim.model import Model
-    from sim.rigid.rigid_bodies import RigidBodies
-    from sim.state import State
+from sim.state import State
 
 FINGER = -2  # in place of a body
 
@@ -52,15 +45,15 @@ class Contacts(Constraint):
 
     def __init__(
         self,
-        state: "State",
-        first: "Model",
-        shapes: "list[Shape]",
+        state: State,
+        first: Model,
+        shapes: list[Shape],
         blocks,
-        grasps: "Grasps",
+        grasps: Grasps,
         *,
         self_contact: bool = True,
         capacity: Capacity = Capacity(),
-        rigid_bodies: "RigidBodies | None" = None,
+        rigid_bodies: RigidBodies | None = None,
         fingers: bool = False,
     ):
         """Allocate for the bodies of `first` and those that `capacity` lets come; `blocks` of sim/reductions.py."""
@@ -106,13 +99,13 @@ class Contacts(Constraint):
         later = size if self.soft or fingers else 0
         self.phase_sizes = (size,) + (later,) * self.constraints.passes
 
-    def check_capacity(self, model: "Model") -> None:
+    def check_capacity(self, model: Model) -> None:
         self.deformable.check_capacity(model)
         self.samples.check_capacity(model)
         if self.anything and not self.has_pairs:
             fit("samples on triangles", self.samples.triangle_points(model), 0)
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         self.samples.load(model)
         self.deformable.load(model)
         if self.coupled:
@@ -122,11 +115,11 @@ class Contacts(Constraint):
             self.self_collision.load(model)
         self.reset()
 
-    def grasps(self) -> "GraspState":
+    def grasps(self) -> GraspState:
         """Grasps of all hands, as a value."""
         return self.hands.get_state()
 
-    def restore_grasps(self, grasps: "GraspState") -> None:
+    def restore_grasps(self, grasps: GraspState) -> None:
         """Hold what `grasps` says, and nothing else."""
         self.hands.set_state(grasps)
 

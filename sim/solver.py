@@ -95,7 +95,7 @@ class Solver:
             self.contacts = Contacts(s, first, list(colliders), blocks, grasps, **options)
         self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
         self._sleeping = Sleeping(s, self._reductions, self.contacts if sleep else None, self.rigid_bodies)
-        self.elasticity, self.damping = Elasticity(s), Damping(s, blocks, self.contacts)
+        self.elasticity, self.damping = Elasticity(s), Damping(s, blocks, self.contacts and self.contacts.forces)
         self.untangling = Untangling(s, self._reductions, self.damping)
         self.kinematic = KinematicTargets(s, self.rigid_bodies)
         self._recovery = NonFiniteRecovery(s)

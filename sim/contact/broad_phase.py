@@ -1,7 +1,5 @@
 """Broad phase: how far each body may come until the next search, which may touch themselves, and a hash of points."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import taichi as ti
 from taichi.math import vec3
@@ -10,11 +8,8 @@ from core.fields import FieldGroup, Upload, round_up_capacity
 from core.lanes import lane_count, max_by_key, max_lanes
 from core.tetmesh import vertex_components
 from sim.elastic.energy import energy_density
-from sim.model import MAX_BODIES
-
-if TYPE_CHECKING:
-    from sim.model import BodyModel, Model, RestShape
-    from sim.state import State
+from sim.model import MAX_BODIES, BodyModel, Model, RestShape
+from sim.state import State
 
 # [m] added to the motion that is expected: what that estimate lacks, such as a push out of the floor or through several
 # bodies. With half as much, a cube that is pushed out of the floor enters one that floats 1.5 mm above it by 3 mm in a
@@ -47,7 +42,7 @@ class BodyBounds:
     max_speed f32[B] [m/s]: the speed that no vertex is expected to exceed, on average, until the next search.
     """
 
-    def __init__(self, state: "State", blocks):
+    def __init__(self, state: State, blocks):
         self.state, self.blocks = state, blocks
         group = self._group = FieldGroup()
         self.partial = group.vector(blocks.size, 4)
@@ -185,7 +180,7 @@ class SweptBounds:
     spring_speed, grasp_speed f32[B] [m/s]: the two maxima above;   impact_speed f32[B] [m/s]: that b brings.
     """
 
-    def __init__(self, state: "State", grasps, bounds: "BodyBounds"):
+    def __init__(self, state: State, grasps, bounds: BodyBounds):
         self.state, self.grasps, self.bounds = state, grasps, bounds
         group = self._group = FieldGroup()
         self.spring_speed, self.grasp_speed = group.scalar(MAX_BODIES), group.scalar(MAX_BODIES)
@@ -272,7 +267,7 @@ class SelfCollision:
     residual, speed_residual f32[B]: the largest distances r [m] and r_v [m/s] from the fits
     """
 
-    def __init__(self, state: "State", blocks, bounds: "BodyBounds"):
+    def __init__(self, state: State, blocks, bounds: BodyBounds):
         self.state, self.blocks, self.bounds = state, blocks, bounds
         group, B = FieldGroup(), MAX_BODIES
         self.sums, self.total = group.scalar(blocks.size, SHAPE_SUMS), group.scalar(B, SHAPE_SUMS)
@@ -285,7 +280,7 @@ class SelfCollision:
         group.build()
         self._upload = Upload([self.disabled, self.part])
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         """Take which of these bodies pass through themselves."""
         parts = [part_of_vertices(p) for p in model.bodies]
         alone = [not part.any() for part in parts]  # of one part
@@ -410,7 +405,7 @@ class SelfCollision:
         self.residual[b], self.speed_residual[b] = 0.0, 0.0
 
 
-def part_of_vertices(p: "BodyModel") -> np.ndarray:
+def part_of_vertices(p: BodyModel) -> np.ndarray:
     """Number of the connected part of each vertex (V,); all -1 unless the body's parts alone meet each other."""
     count = len(p.shape.vertices)
     if p.body.rigid or p.body.self_contact != "parts":
@@ -420,6 +415,6 @@ def part_of_vertices(p: "BodyModel") -> np.ndarray:
     return part
 
 
-def can_fold(shape: "RestShape") -> bool:
+def can_fold(shape: RestShape) -> bool:
     """True if a body has two ends, each as long as the distance at rest below which points do not collide."""
     return float(np.ptp(shape.vertices, axis=0).max()) > 2 * MIN_REST_DISTANCE * 0.5 * shape.edge

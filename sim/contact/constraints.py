@@ -15,8 +15,6 @@ So impulses stay equal and opposite, constraints that agree are solved in one st
 over constraints are integers: their order, and the number of threads, do not matter.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import taichi as ti
 
@@ -29,9 +27,7 @@ from sim.contact.response import (
     min_normal_motion,
 )
 from sim.model import MAX_BODIES
-
-if TYPE_CHECKING:
-    from sim.state import State
+from sim.state import State
 
 STEPS_PER_METER = 2.0**44  # of the integer sums: 6e-14 m, and 5e5 m before overflow
 STEPS_PER_COEFFICIENT = 2.0**20  # of the integer sums of coefficients
@@ -60,7 +56,7 @@ class ContactConstraints:
     [m] of this substep; max_force f32 [N].
     """
 
-    def __init__(self, state: "State", capacity: int, rigid_bodies=None, first_finger: int | None = None):
+    def __init__(self, state: State, capacity: int, rigid_bodies=None, first_finger: int | None = None):
         self.state, self.capacity = state, capacity
         self.rigid_bodies, self.coupled = rigid_bodies, rigid_bodies is not None
         self.fingers, self.first_finger = first_finger is not None, first_finger
@@ -306,7 +302,7 @@ class ContactForces:
     correction vec3[V] [m]: by static shapes, of each vertex in the last substep;   total i64[B,3] in FORCE_STEP.
     """
 
-    def __init__(self, state: "State", constraints: ContactConstraints):
+    def __init__(self, state: State, constraints: ContactConstraints):
         self.state, self.constraints, self._group = state, constraints, FieldGroup()
         self.correction = self._group.vector(state.V)
         self.total = self._group.scalar(MAX_BODIES, 3, dtype=ti.i64)

@@ -1,7 +1,6 @@
 """Contact samples: the points on bodies, thin static capsules and fingers that are tested against other shapes."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
@@ -11,15 +10,11 @@ from taichi.math import vec3
 from core.distance_grid import SKIN_VOXELS, DistanceGrid
 from core.fields import FieldGroup, Upload, round_up_capacity
 from core.vocabulary import Capsule
-from sim.contact.static_shapes import StaticGrid
-from sim.model import MAX_BODIES, Capacity, fit, stacked
-
-if TYPE_CHECKING:
-    from sim.contact.broad_phase import BodyBounds
-    from sim.contact.finger_capsules import FingerCapsules
-    from sim.contact.static_shapes import Shape
-    from sim.model import BodyModel, Model, RestShape
-    from sim.state import State
+from sim.contact.broad_phase import BodyBounds
+from sim.contact.finger_capsules import FingerCapsules
+from sim.contact.static_shapes import Shape, StaticGrid
+from sim.model import MAX_BODIES, BodyModel, Capacity, Model, RestShape, fit, stacked
+from sim.state import State
 
 MIN_SPACING, MAX_SPACING = 0.004, 0.02  # [m]: a smaller one costs more than it gains; a larger one misses a finger
 MIN_SEPARATION = 0.75  # [spacings] between points after thinning: one spacing at most on average
@@ -49,7 +44,7 @@ class SurfacePoints:
         return SurfacePoints(np.concatenate([self.ids, other.ids]), np.concatenate([self.weights, other.weights]))
 
 
-def spacing_for(shapes: "list[Shape]") -> float:
+def spacing_for(shapes: list[Shape]) -> float:
     """Spacing [m] at which nothing static slips between samples: half of the thinnest capsule, two voxels of a grid."""
     thin = [0.5 * s.radius for s in shapes if isinstance(s, Capsule)]
     thin += [2.0 * s.grid.spacing * s.scale for s in shapes if isinstance(s, StaticGrid)]
@@ -117,25 +112,25 @@ def skin_depth(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | 
     return np.clip(sdf.sample(x), -SKIN_VOXELS * sdf.spacing, SKIN_VOXELS * sdf.spacing)
 
 
-def points_of(shape: "RestShape", spacing: float) -> SurfacePoints:
+def points_of(shape: RestShape, spacing: float) -> SurfacePoints:
     """Samples of a rest shape."""
     if shape.rigid:  # few points suffice between the corners and edges of a body that does not bend
         spacing = max(spacing, MIN_RIGID_SPACING * float(np.ptp(shape.vertices, axis=0).max()))
     return surface_points(shape.vertices, shape.surface, spacing)
 
 
-def skin_of(shape: "RestShape", spacing: float) -> np.ndarray:
+def skin_of(shape: RestShape, spacing: float) -> np.ndarray:
     """Skin depth [m] of each sample of a rest shape, (P,)."""
     return skin_depth(shape.once(points_of, spacing), shape.vertices, shape.sdf)
 
 
-def inner_of(shape: "RestShape") -> SurfacePoints:
+def inner_of(shape: RestShape) -> SurfacePoints:
     """Samples at the vertices that are not on the surface."""
     inside = np.setdiff1d(np.arange(len(shape.vertices)), shape.surface)
     return SurfacePoints(np.repeat(inside[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(inside), 1)))
 
 
-def collapses(part: "BodyModel") -> bool:
+def collapses(part: BodyModel) -> bool:
     """True if a body cannot carry its own weight on Earth."""
     m, height = part.material, float(np.ptp(part.shape.vertices, axis=0).max())
     return not part.shape.rigid and m.density * 9.81 * height > MAX_SELF_WEIGHT * m.young
@@ -150,7 +145,7 @@ class ContactSamples:
     host_ids, host_weights: the same in NumPy
     """
 
-    def __init__(self, state: "State", first: "Model", spacing: float, capacity: Capacity = Capacity()):
+    def __init__(self, state: State, first: Model, spacing: float, capacity: Capacity = Capacity()):
         self.state, self.spacing = state, spacing
         count = sum(len(p.ids) for p in self._points(first))
         inner = sum(len(p.shape.once(inner_of).ids) for p in first.bodies if collapses(p))
@@ -164,17 +159,17 @@ class ContactSamples:
         group.build()
         self._upload = Upload([self.ids, self.weight, self.on_vertex, self.of_vertex, self.body, self.skin, self.count])
 
-    def _points(self, model: "Model") -> list[SurfacePoints]:
+    def _points(self, model: Model) -> list[SurfacePoints]:
         return [s.once(points_of, self.spacing) for s in model.shapes]
 
-    def check_capacity(self, model: "Model") -> None:
+    def check_capacity(self, model: Model) -> None:
         fit("samples", sum(len(p.ids) for p in self._points(model)), self.capacity)
 
-    def triangle_points(self, model: "Model") -> int:
+    def triangle_points(self, model: Model) -> int:
         """Number of samples that are not vertices."""
         return sum(int((p.weights[:, 0] != 1.0).sum()) for p in self._points(model))
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         """Take the samples of these bodies; inner vertices of those that collapse too, as far as there is room."""
         points = self._points(model)
         skins = [s.once(skin_of, self.spacing) for s in model.shapes]
@@ -251,11 +246,11 @@ class QueryPoints:
 
     def __init__(
         self,
-        state: "State",
-        samples: "ContactSamples",
-        capsules: "CapsuleSamples",
-        bounds: "BodyBounds",
-        fingers: "FingerCapsules | None",
+        state: State,
+        samples: ContactSamples,
+        capsules: CapsuleSamples,
+        bounds: BodyBounds,
+        fingers: FingerCapsules | None,
     ):
         self.state, self.samples, self.capsules, self.bounds = state, samples, capsules, bounds
         self.fingers, self.has_fingers = fingers, fingers is not None

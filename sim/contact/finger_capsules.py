@@ -3,21 +3,16 @@
 A capsule is a row of up to SAMPLES_PER_CAPSULE samples on its axis, a radius apart or less.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
 from core.vocabulary import Hand
-from sim.contact.broad_phase import CONTACT_MARGIN, gap_of_boxes
+from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds, gap_of_boxes
 from sim.contact.response import MAX_RECOVERY_SPEED
 from sim.model import MAX_BODIES
-
-if TYPE_CHECKING:
-    from sim.contact.broad_phase import BodyBounds
-    from sim.state import State
+from sim.state import State
 
 CAPSULES_PER_HAND = 20  # its 19 bones, and one to spare
 SAMPLES_PER_CAPSULE = 8
@@ -42,7 +37,7 @@ class FingerCapsules:
     limit f32[H]: fraction of each sample's greatest force that keeps the hand below MAX_HAND_FORCE
     """
 
-    def __init__(self, state: "State", bounds: "BodyBounds", hands: int):
+    def __init__(self, state: State, bounds: BodyBounds, hands: int):
         self.state, self.bounds = state, bounds
         self.hands, self.count = max(hands, 1), max(hands, 1) * SAMPLES_PER_HAND
         self.capsules = self.hands * CAPSULES_PER_HAND

@@ -1,27 +1,20 @@
 """Narrow phase: distance and normal of each contact sample near static shapes, and near deformable bodies."""
 
-from typing import TYPE_CHECKING
-
 import taichi as ti
 from taichi.math import vec3
 
 from core.distance_grid import DistanceGrid
 from core.fields import FieldGroup
 from core.vocabulary import Capsule
-from sim.contact.contact_samples import CapsuleSamples
+from sim.contact.broad_phase import BodyBounds, SelfCollision
+from sim.contact.constraints import ContactConstraints, ContactForces
+from sim.contact.contact_samples import CapsuleSamples, ContactSamples
+from sim.contact.finger_capsules import FingerCapsules
 from sim.contact.nearest_tet import NearestTets, deformed_gradient, rest_coordinates
 from sim.contact.response import CONTACT_STIFFNESS, contact_impulse, isotropic_contact_impulse, min_normal_motion
-from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known
-from sim.model import MAX_BODIES, Capacity, fit
-
-if TYPE_CHECKING:
-    from sim.contact.broad_phase import BodyBounds, SelfCollision
-    from sim.contact.constraints import ContactConstraints, ContactForces
-    from sim.contact.contact_samples import ContactSamples
-    from sim.contact.finger_capsules import FingerCapsules
-    from sim.contact.static_shapes import Shape
-    from sim.model import Model
-    from sim.state import State
+from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, Shape, grid_of, known
+from sim.model import MAX_BODIES, Capacity, Model, fit
+from sim.state import State
 
 MAX_NEAR = 8  # static shapes that one sample can be near at once; of more, the nearest count
 # Cosine of the surfaces' normals above which two surfaces do not face each other: a point that was forced right through
@@ -43,9 +36,7 @@ class StaticContact:
     vec3[P,8], friction vec2[P,8] = (mu_s, mu_k). The sweeps read these: they are the same in all of them.
     """
 
-    def __init__(
-        self, state: "State", samples, shapes, bounds, constraints: "ContactConstraints", forces: "ContactForces"
-    ):
+    def __init__(self, state: State, samples, shapes, bounds, constraints: ContactConstraints, forces: ContactForces):
         self.state, self.samples, self.shapes, self.bounds = state, samples, shapes, bounds
         self.constraints, self.forces = constraints, forces
         group = self._group = FieldGroup()
@@ -205,15 +196,15 @@ class DeformableContact:
 
     def __init__(
         self,
-        state: "State",
-        first: "Model",
-        samples: "ContactSamples",
-        shapes: "list[Shape]",
-        bounds: "BodyBounds",
-        self_collision: "SelfCollision | None",
+        state: State,
+        first: Model,
+        samples: ContactSamples,
+        shapes: list[Shape],
+        bounds: BodyBounds,
+        self_collision: SelfCollision | None,
         begin: int,
         capacity: Capacity = Capacity(),
-        fingers: "FingerCapsules | None" = None,
+        fingers: FingerCapsules | None = None,
     ):
         self.self_collision, self.self_collides = self_collision, self_collision is not None
         self.state, self.samples, self.bounds, self.begin = state, samples, bounds, begin
@@ -227,17 +218,17 @@ class DeformableContact:
         self.hosts = NearestTets(state, samples, self.capsules, bounds, self_collision, fingers)
         self.normals = VertexNormals(state)
 
-    def _grids(self, model: "Model") -> list[DistanceGrid]:
+    def _grids(self, model: Model) -> list[DistanceGrid]:
         return [s.once(grid_of) for s in model.shapes] if self.needed or self.rigid else []
 
-    def check_capacity(self, model: "Model") -> None:
+    def check_capacity(self, model: Model) -> None:
         if model.soft:
             fit("bodies in contact", model.sizes.bodies, MAX_BODIES if self.needed else 1)
         if model.rigid:
             fit("rigid bodies", 1, int(self.rigid))
         self.grids.check_capacity(self._grids(model))
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         """Take the grids and tets of these bodies."""
         if self.needed or self.rigid:
             self.grids.load(self._grids(model))
@@ -254,7 +245,7 @@ class DeformableContact:
         """Largest number of constraints."""
         return self.hosts.hash.points if self.needed else 0
 
-    def detect(self, constraints: "ContactConstraints") -> None:
+    def detect(self, constraints: ContactConstraints) -> None:
         """Make the constraints of points near a tet of another body candidates; `normals` must be up to date too."""
         if self.needed:
             self.hosts.find(constraints, self.begin)
@@ -367,7 +358,7 @@ class VertexNormals:
     normal vec3[V]: unit mean of the normals of a vertex's triangles, 0 inside;   sum vec3i[V], in NORMAL_STEPS
     """
 
-    def __init__(self, state: "State"):
+    def __init__(self, state: State):
         self.state, group = state, FieldGroup()
         with group.interleaved(state.V):
             self.normal, self.sum = group.vector(), group.vector(dtype=ti.i32)

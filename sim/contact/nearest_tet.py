@@ -7,8 +7,6 @@ apart if an axis that separates them still does so when both have moved on at th
 motion past each other, hardly bring them closer along it.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import taichi as ti
 from taichi.math import vec3
@@ -16,17 +14,12 @@ from taichi.math import vec3
 from core.fields import FieldGroup, Upload
 from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vote
 from core.morton import morton_order
-from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
-from sim.contact.contact_samples import QueryPoints
+from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds, PointHash, SelfCollision, outside_box
+from sim.contact.contact_samples import CapsuleSamples, ContactSamples, QueryPoints
+from sim.contact.finger_capsules import FingerCapsules
 from sim.contact.static_shapes import UNKNOWN_DISTANCE
-from sim.model import MAX_BODIES, stacked
-
-if TYPE_CHECKING:
-    from sim.contact.broad_phase import BodyBounds, SelfCollision
-    from sim.contact.contact_samples import CapsuleSamples, ContactSamples
-    from sim.contact.finger_capsules import FingerCapsules
-    from sim.model import Model, RestShape
-    from sim.state import State
+from sim.model import MAX_BODIES, Model, RestShape, stacked
+from sim.state import State
 
 MIN_VOLUME_RATIO = 1e-3  # of the rest volume; of a tet crushed flatter, normals are rounding, and soon overflow
 MIN_WEIGHT = -0.01  # barycentric; below it a point moves on to the neighbouring tet, but not to and fro on a face
@@ -163,12 +156,12 @@ class NearestTets:
 
     def __init__(
         self,
-        state: "State",
-        samples: "ContactSamples",
-        capsules: "CapsuleSamples",
-        bounds: "BodyBounds",
-        self_collision: "SelfCollision | None",
-        fingers: "FingerCapsules | None" = None,
+        state: State,
+        samples: ContactSamples,
+        capsules: CapsuleSamples,
+        bounds: BodyBounds,
+        self_collision: SelfCollision | None,
+        fingers: FingerCapsules | None = None,
     ):
         self.self_collision, self.self_collides = self_collision, self_collision is not None
         self.state, self.samples, self.bounds = state, samples, bounds
@@ -193,7 +186,7 @@ class NearestTets:
         group.build()
         self._upload = Upload([self.neighbor, self.rest, self.hash.cell, self.order, self.ordered_count])
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         """Take the tets of these bodies."""
         shapes, begin = model.shapes, model.tet_begin
         near = [s.root.once(neighbors_of) for s in shapes]
@@ -513,12 +506,12 @@ class NearestTets:
         return result
 
 
-def neighbors_of(shape: "RestShape") -> np.ndarray:
+def neighbors_of(shape: RestShape) -> np.ndarray:
     """Neighbours of the tets of a rest shape, (T, 4) int32."""
     return tet_neighbors(shape.tets)
 
 
-def compact_runs(shape: "RestShape", length: int) -> np.ndarray:
+def compact_runs(shape: RestShape, length: int) -> np.ndarray:
     """The tets of a rest shape in runs of this length, each of tets close to one another; -1 fills the last one."""
     order = morton_order(shape.vertices[shape.tets].mean(axis=1))
     return np.concatenate([order, np.full(-len(order) % length, -1)])

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
@@ -15,10 +14,7 @@ from core.fields import FieldGroup, Upload, round_up_capacity
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 from core.vocabulary import IDENTITY, Box, Capsule, Plane, Quat, Vec3
 from sim.contact.broad_phase import outside_box
-from sim.model import Capacity, fit
-
-if TYPE_CHECKING:
-    from sim.model import RestShape
+from sim.model import Capacity, RestShape, fit
 
 PLANE, CAPSULE, BOX, GRID = range(4)
 MAX_SHAPES = 128
@@ -216,7 +212,7 @@ def triangle_distance_squared(a, b, c):
     return nearest
 
 
-def grid_of(shape: "RestShape") -> DistanceGrid:
+def grid_of(shape: RestShape) -> DistanceGrid:
     """Distance grid of a rest shape: its body's own, else one made of the mesh; an empty one of a box."""
     if shape.boxed:
         return DistanceGrid(np.full((2, 2, 2), UNKNOWN_DISTANCE, np.float32), np.zeros(3), 1e-3)

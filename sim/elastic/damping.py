@@ -17,17 +17,12 @@ In a body with prescribed vertices, v_cm and omega are those of these alone, and
 several substeps (t is their sum; c t << 1), because the sums over a body cost as much as a substep.
 """
 
-from typing import TYPE_CHECKING
-
 import taichi as ti
 
 from core.fields import FieldGroup, two_sum
 from sim.model import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State
-
-if TYPE_CHECKING:
-    from sim.contacts import Contacts
 
 # Of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3); f (1), f r (3), f r_k^2 (3), f r_k r_l (3)
 DAMPING_SUMS = 25
@@ -54,9 +49,9 @@ def moment_of_inertia(squares, mixed, center, M):
 class Damping:
     """`run(t)` damps the velocities for t [s] and predicts the increments of the next substep."""
 
-    def __init__(self, state: State, blocks: ReductionBlocks, contacts: "Contacts | None"):
-        self.state, self.blocks, self.touches = state, blocks, contacts is not None
-        self.forces = contacts.forces if self.touches else None  # of static shapes on the vertices
+    def __init__(self, state: State, blocks: ReductionBlocks, forces=None):
+        """Forces: of static shapes on the vertices (ContactForces), None without contacts."""
+        self.state, self.blocks, self.forces, self.touches = state, blocks, forces, forces is not None
         g = self._group = FieldGroup()
         self.sums, self.total = g.scalar(blocks.size, DAMPING_SUMS), g.scalar(MAX_BODIES, DAMPING_SUMS)
         self.center = g.vector(MAX_BODIES)  # of mass [m]

@@ -10,23 +10,18 @@ compliantly and with bounded force (`fingertip_spring` in sim/contact/response.p
 it holds, and through one that it has let go until they are apart.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
 from core.vocabulary import Hand
-from sim.contact.broad_phase import outside_box
+from sim.contact.broad_phase import BodyBounds, outside_box
+from sim.contact.constraints import ContactConstraints
 from sim.contact.finger_capsules import MAX_SAMPLE_FORCE, SAMPLES_PER_HAND, FingerCapsules
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, known
 from sim.hands.grasp import MAX_HAND_FORCE
 from sim.rigid.rigid_bodies import FREE
-
-if TYPE_CHECKING:
-    from sim.contact.broad_phase import BodyBounds
-    from sim.contact.constraints import ContactConstraints
 
 FORCE_STEP = 1e-6  # [N] of the integer sums of forces
 
@@ -42,8 +37,8 @@ class FingerContact:
     def __init__(
         self,
         capsules: FingerCapsules,
-        bounds: "BodyBounds",
-        constraints: "ContactConstraints",
+        bounds: BodyBounds,
+        constraints: ContactConstraints,
         begin: int,
         *,
         rigid_bodies=None,

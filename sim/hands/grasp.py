@@ -17,7 +17,6 @@ the body's is what the user means. The rigid part of its motion becomes the stra
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
@@ -27,11 +26,8 @@ from core import quaternion
 from core.fields import Download, FieldGroup
 from core.rotation import matrices_from_quaternions
 from core.vocabulary import Hand
-from sim.model import stacked
-
-if TYPE_CHECKING:
-    from sim.model import Model
-    from sim.state import State
+from sim.model import Model, stacked
+from sim.state import State
 
 SPRING_OMEGA = 2.0 * math.pi * 20.0  # [rad/s] of the whole body on its springs: stiffer than an arm, softer than a pin
 MIN_SPRING_MASS = 0.2  # [kg]; lighter bodies are held as firmly, with 3 N/mm, so that they too can be squeezed
@@ -190,7 +186,7 @@ class Grasps:
     total i64[H,3]: force sums [1e-6 N]
     """
 
-    def __init__(self, state: "State", count: int):
+    def __init__(self, state: State, count: int):
         self.state, self.count = state, count
         H, V, group = max(count, 1), state.V, FieldGroup()
         self.held, self.target, self.correction = group.scalar(V, dtype=ti.i32), group.vector(H, V), group.vector(H, V)
@@ -201,7 +197,7 @@ class Grasps:
         group.build()
         self._motion = Download([state.x, state.v])
 
-    def load(self, model: "Model", ids: np.ndarray, weights: np.ndarray) -> None:
+    def load(self, model: Model, ids: np.ndarray, weights: np.ndarray) -> None:
         """Take other bodies, with the vertices (P, 3) and weights (P, 3) of their surface samples."""
         self.model, self.offsets, self.samples = model, model.vertex_begin, (ids, weights)
         self.masses = stacked([p.mass for p in model.bodies])
@@ -215,7 +211,7 @@ class Grasps:
         """The body that each hand holds, -1 for none."""
         return [-1 if grasp is None else grasp.body for grasp in self.grasps]
 
-    def get_state(self) -> "GraspState":
+    def get_state(self) -> GraspState:
         """The grasps, as a value."""
         return GraspState(tuple(self.grasps), tuple(self.last), tuple(self.histories), tuple(self.lost))
 
@@ -270,7 +266,7 @@ class Grasps:
             return given
         return replace(last, grip=given.grip)
 
-    def _throw(self, body: int, history: "PoseHistory") -> None:
+    def _throw(self, body: int, history: PoseHistory) -> None:
         """Let a body move on as the hand did that has held it."""
         part = self.model.bodies[body]
         first, last = (int(o) for o in self.offsets[body : body + 2])
@@ -284,7 +280,7 @@ class Grasps:
         for i in range(n):
             self.state.v[first + i] += ti.Vector([dv[i, c] for c in range(3)])
 
-    def _hold(self, h: int, grasp: "Grasp | None") -> None:
+    def _hold(self, h: int, grasp: Grasp | None) -> None:
         """Let hand h hold exactly this."""
         self.grasps[h] = grasp
         count = 1 if grasp is None else len(grasp.vertices)  # Taichi takes no empty arrays
@@ -415,7 +411,7 @@ class RigidGrasp:
     force vec3[H] [N]: of the last substep, on the body.   grasps: the hands' poses and grasps, None without hands.
     """
 
-    def __init__(self, state: "State", grasps):
+    def __init__(self, state: State, grasps):
         self.state, self.grasps = state, grasps
         self.count = 0 if grasps is None else grasps.count
         H, group = max(self.count, 1), FieldGroup()

@@ -10,7 +10,6 @@ holds it on), and `take_scaling` says by how much it is to be rescaled.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
@@ -18,9 +17,7 @@ import taichi as ti
 from core.fields import FieldGroup
 from core.rotation import matrices_from_quaternions
 from core.vocabulary import Hand
-
-if TYPE_CHECKING:
-    from sim.state import State
+from sim.state import State
 
 MIN_SCALE, MAX_SCALE = 0.25, 4.0  # times as large, in one go
 MIN_HAND_DISTANCE = 0.03  # [m]; hands that began closer together would scale by their trembling
@@ -42,7 +39,7 @@ class TwoHandGrasp:
 class RigidEditing:
     """Places grasped bodies relative to where they were when they were grasped, so that no error accumulates."""
 
-    def __init__(self, state: "State"):
+    def __init__(self, state: State):
         self._state = state
         self._single, self._double = RigidPlacement(state), RigidPlacement(state)
         self._grasps: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grasp
@@ -153,7 +150,7 @@ class RigidEditing:
 class RigidPlacement:
     """Affine placement of bodies relative to their vertices when they were kept: start vec3[V] [m]."""
 
-    def __init__(self, state: "State"):
+    def __init__(self, state: State):
         self.state, self._group = state, FieldGroup()
         self.start = self._group.vector(state.V)
         self._group.build()

@@ -11,7 +11,6 @@ term is that omega changes with the attitude. Kinematic bodies have w = 0 and fo
 """
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
@@ -22,18 +21,13 @@ from core.errors import BadInput
 from core.fields import FieldGroup, Upload, two_sum
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
 from sim.contact.constraints import STEPS_PER_METER
-from sim.contact.contact_samples import points_of
+from sim.contact.contact_samples import ContactSamples, points_of
 from sim.contact.response import CONTACT_SLOP, angular_inv_mass
-from sim.contact.static_shapes import UNKNOWN_DISTANCE, box_distance
+from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, box_distance
 from sim.elastic.substep import Constraint
-from sim.model import MAX_BODIES
-
-if TYPE_CHECKING:
-    from sim.contact.contact_samples import ContactSamples
-    from sim.contact.static_shapes import DistanceGrids
-    from sim.model import BodyModel, Model, RestShape
-    from sim.rigid.rigid_body import RigidBody
-    from sim.state import State
+from sim.model import MAX_BODIES, BodyModel, Model, RestShape
+from sim.rigid.rigid_body import RigidBody
+from sim.state import State
 
 SOFT, FREE, DRIVEN = range(3)  # kinds of bodies
 MAX_ROTATION = 0.5  # [rad] a substep; beyond, the attitude's increments, of first order, mean nothing
@@ -59,7 +53,7 @@ class RigidBodies(Constraint):
     has_pairs = True
     phase_sizes = (MAX_BODIES,)
 
-    def __init__(self, state: "State", grasp, *, passes: int):
+    def __init__(self, state: State, grasp, *, passes: int):
         """Allocate for MAX_BODIES; grasp: the springs of the hands (RigidGrasp); passes: over the constraints."""
         self.state, self.grasp, self.passes = state, grasp, passes
         group, B = FieldGroup(), MAX_BODIES
@@ -84,7 +78,7 @@ class RigidBodies(Constraint):
         self.bodies: list[BodyModel] = []
         self.targets: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         """Take these bodies, of which those that are rigid move here; poses and momenta come by `set_motion`."""
         self.bodies, self.begin = model.bodies, model.vertex_begin
         B = len(self.bodies)
@@ -99,7 +93,7 @@ class RigidBodies(Constraint):
         self._constants([kind, center, inv_mass, restitution, max_step, inertia, inverse_inertia])
         self.targets.clear()
 
-    def _rigid(self) -> "list[tuple[int, RigidBody]]":
+    def _rigid(self) -> list[tuple[int, RigidBody]]:
         """Index and body of each rigid one."""
         return [(b, p.body) for b, p in enumerate(self.bodies) if p.body.rigid]
 
@@ -337,7 +331,7 @@ class RigidShapes:
     On a corner or an edge `outward` is the mean of the faces that meet there; 0 for samples of soft bodies.
     """
 
-    def __init__(self, rigid_bodies: "RigidBodies", samples: "ContactSamples", grids: "DistanceGrids"):
+    def __init__(self, rigid_bodies: RigidBodies, samples: ContactSamples, grids: DistanceGrids):
         self.rigid_bodies, self.samples, self.grids = rigid_bodies, samples, grids
         group = self._group = FieldGroup()
         self.boxed, self.half = group.scalar(MAX_BODIES, dtype=ti.i32), group.vector(MAX_BODIES)
@@ -345,7 +339,7 @@ class RigidShapes:
         group.build()
         self._upload = Upload([self.boxed, self.half, self.outward])
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         """Take the shapes of these bodies."""
         shapes = model.shapes
         half = [s.vertices.max(0) if s.boxed else np.zeros(3) for s in shapes]
@@ -399,7 +393,7 @@ def bearing_distance(p, half, facing):
     return phi, normal
 
 
-def outward_of(shape: "RestShape", spacing: float) -> np.ndarray:
+def outward_of(shape: RestShape, spacing: float) -> np.ndarray:
     """Unit sum of the different face normals that meet at each sample of a rigid shape, (P, 3)."""
     points = shape.once(points_of, spacing)
     result = np.zeros((len(points.ids), 3))

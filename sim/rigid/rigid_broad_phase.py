@@ -10,26 +10,20 @@ until the next search.
 """
 
 import math
-from typing import TYPE_CHECKING
 
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
 from core.lanes import lane_count, rank_lanes, sync_lanes
-from sim.contact.broad_phase import outside_box
+from sim.contact.broad_phase import BodyBounds, outside_box
+from sim.contact.constraints import ContactConstraints
+from sim.contact.contact_samples import ContactSamples
 from sim.contact.response import CONTACT_SLOP
-from sim.contact.static_shapes import MAX_SHAPES, UNKNOWN_DISTANCE, known
+from sim.contact.static_shapes import MAX_SHAPES, UNKNOWN_DISTANCE, StaticShapes, known
 from sim.model import MAX_BODIES
-from sim.rigid.rigid_bodies import FREE, SOFT
-
-if TYPE_CHECKING:
-    from sim.contact.broad_phase import BodyBounds
-    from sim.contact.constraints import ContactConstraints
-    from sim.contact.contact_samples import ContactSamples
-    from sim.contact.static_shapes import StaticShapes
-    from sim.rigid.rigid_bodies import RigidBodies, RigidShapes
-    from sim.state import State
+from sim.rigid.rigid_bodies import FREE, SOFT, RigidBodies, RigidShapes
+from sim.state import State
 
 SLOTS = 4  # shapes that one sample can touch at once: a floor, a wall and two neighbours
 WORLD = MAX_BODIES  # the one body that all static shapes are
@@ -42,7 +36,7 @@ STEEPEST = 1e30  # inclination of a plane
 HULL_TOLERANCE = 2.0 * CONTACT_SLOP
 
 
-def slot_count(samples: "ContactSamples") -> int:
+def slot_count(samples: ContactSamples) -> int:
     """Number of slots, which is that of the constraints."""
     return SLOTS * samples.capacity
 
@@ -91,13 +85,13 @@ class RigidBroadPhase:
 
     def __init__(
         self,
-        state: "State",
-        rigid_bodies: "RigidBodies",
-        samples: "ContactSamples",
-        static_shapes: "StaticShapes",
-        shapes: "RigidShapes",
-        bounds: "BodyBounds",
-        constraints: "ContactConstraints",
+        state: State,
+        rigid_bodies: RigidBodies,
+        samples: ContactSamples,
+        static_shapes: StaticShapes,
+        shapes: RigidShapes,
+        bounds: BodyBounds,
+        constraints: ContactConstraints,
         begin: int,
     ):
         self.state, self.rigid_bodies, self.samples, self.bounds = state, rigid_bodies, samples, bounds

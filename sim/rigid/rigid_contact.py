@@ -5,8 +5,6 @@ and are solved by Gauss-Seidel sweeps: four corners on a floor take no longer to
 that a constraint asks for after an impact.
 """
 
-from typing import TYPE_CHECKING
-
 import taichi as ti
 from taichi.math import vec3
 
@@ -17,10 +15,7 @@ from sim.contact.response import inverse_mass_matrix, isotropic_contact_impulse,
 from sim.contact.static_shapes import MAX_SHAPES, known
 from sim.model import MAX_BODIES
 from sim.rigid.rigid_bodies import SOFT
-from sim.rigid.rigid_broad_phase import WORLD
-
-if TYPE_CHECKING:
-    from sim.rigid.rigid_broad_phase import RigidBroadPhase
+from sim.rigid.rigid_broad_phase import WORLD, RigidBroadPhase
 
 GROUP_SWEEPS = 3  # over a group's constraints in each pass; with one, corners that strike together do not all rebound
 MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce, and so come to rest
@@ -34,7 +29,7 @@ class RigidContacts:
     impact_left i32[4P]: substeps for which an impact still asks for its speed
     """
 
-    def __init__(self, search: "RigidBroadPhase"):
+    def __init__(self, search: RigidBroadPhase):
         self.search, self.state, self.rigid_bodies = search, search.state, search.rigid_bodies
         self.constraints, self.samples, self.begin = search.constraints, search.samples, search.begin
         self.lanes = lane_count()

@@ -18,7 +18,7 @@ import numpy as np
 
 from core.camera import Camera
 from display.run_stats import write_stats
-from display.viewer import camera_around, upright
+from display.viewed_file import camera_around, upright
 from render import SORTS
 
 DEGREES, STEPS, SHARPER = 1.0, 20, 3

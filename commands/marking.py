@@ -64,7 +64,7 @@ class SplatSubject:
     size, version = PICTURE_SIZE, 0
 
     def __init__(self, gaussians: Gaussians, marks: SplatMarks, up: str | None):
-        from display.viewer import FOV_Y, eye_around, middle_and_radius
+        from display.viewed_file import FOV_Y, eye_around, middle_and_radius
         from prepare.segment.live_selection import LiveSelection
 
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))

@@ -136,7 +136,7 @@ def film_turntable(args: argparse.Namespace) -> None:
     from display.headless.headless import Progress
     from display.headless.video import Video
     from display.picture import pixels_of
-    from display.viewer import BACKGROUND, camera_around, upright
+    from display.viewed_file import BACKGROUND, camera_around, upright
     from render.renderer import Renderer
     from render.splats import Splats
 

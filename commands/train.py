@@ -318,8 +318,7 @@ class _Progress:
 
 def _preview(args: argparse.Namespace, capture, trainer, progress: _Progress) -> None:
     """Show the Gaussians in a window while they are trained, until the window is closed or the training ends."""
-    from display.live_viewer import LiveViewer
-    from display.viewer import BACKGROUND
+    from display.viewed_file import BACKGROUND
     from display.window.window import Window
     from scenes.scene import Scene
 
@@ -335,8 +334,10 @@ def _preview(args: argparse.Namespace, capture, trainer, progress: _Progress) ->
         return progress.text
 
     with Window(scene, title=f"VR-GS: training {args.capture.name}", width=None, height=None) as window:
-        splats, antialias = trainer.population.splats, trainer.options.antialias
-        viewer = LiveViewer(splats, scene, advance, size=window.size, antialias=antialias, sort=trainer.options.sort)
+        options = trainer.options
+        viewer = TrainingWorld(
+            trainer.population.splats, scene, advance, size=window.size, sort=options.sort, antialias=options.antialias
+        )
         for frame in window.frames(viewer):
             viewer.step(frame)
             window.present(viewer)

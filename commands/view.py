@@ -44,8 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Show `args.files` in a window, or write `args.snapshot`. Raises BadInput."""
-    from display.viewed_file import ViewedFile
-    from display.viewer import Viewer, scene_around
+    from display.viewed_file import ViewedFile, scene_around
+    from display.viewer import Viewer
     from display.window.gl_window import has_display
 
     if args.snapshot is not None and len(args.files) > 1:
@@ -78,8 +78,7 @@ def run(args: argparse.Namespace) -> None:
     with display, Keeper(str(args.files[0])) as keeper:
         start_taichi(args.arch)
         width, height = display.size
-        how = {"sort": args.sort, "background": args.background, "out": args.out}
-        viewer = Viewer(files, scene, width=width, height=height, **how)
+        viewer = Viewer(files, scene, width=width, height=height, sort=args.sort, out=args.out)
         for frame in itertools.islice(display.frames(viewer), args.frames):
             viewer.step(frame)
             display.present(viewer)

@@ -1,17 +1,21 @@
-"""Output of the finished picture: pixels on the host, a picture file, an OpenGL texture."""
+"""The finished picture: its pixels on the host, a picture file, an OpenGL texture; the surface that it shows."""
 
 from __future__ import annotations
 
 import ctypes
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from assets.file_access import PICTURES, atomic_write
+from core.camera import Camera
 from core.errors import BadInput
 from display.window.cuda_gl_interop import CudaTexture, NoInterop
 
+SURFACE_SIDE = 16  # [px] of the part of the picture that is drawn for its depth: a tile
+OPAQUE = 0.5  # of a pixel; fainter ones show no surface
 VERTEX = """
 #version 330
 uniform int views;  // one below the other; the first is shown
@@ -48,6 +52,25 @@ def pixels_of(picture) -> np.ndarray:
     else:
         flat = picture.to_numpy().view(np.uint8)
     return flat.reshape(height, width, 4)
+
+
+def surface_point(splats, camera: Camera, u: float, v: float) -> np.ndarray | None:
+    """The point (3,) [m] of splats (render/splats.py) that is seen at a pixel; None: nothing opaque is there."""
+    from render.renderer import Renderer
+
+    if not (0 <= u < camera.width and 0 <= v < camera.height):
+        return None
+    left, top = int(u) - SURFACE_SIDE // 2, int(v) - SURFACE_SIDE // 2
+    near = replace(camera, width=SURFACE_SIDE, height=SURFACE_SIDE, cx=camera.cx - left, cy=camera.cy - top)
+    renderer = Renderer(splats, SURFACE_SIDE, SURFACE_SIDE, outputs="float", sort="z")
+    renderer.render([near])
+    middle = (0, SURFACE_SIDE // 2, SURFACE_SIDE // 2)
+    depth, alpha = renderer.depth.to_numpy()[middle], renderer.alpha.to_numpy()[middle]
+    renderer.destroy()
+    if alpha < OPAQUE:
+        return None
+    origin, direction = camera.ray(u, v)
+    return origin + direction * float(depth / alpha) / float(direction @ camera.world_to_camera[2, :3])
 
 
 def side_by_side(pixels: np.ndarray, views: int) -> np.ndarray:

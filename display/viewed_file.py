@@ -1,18 +1,27 @@
-"""A splat file that is looked at: turned upright, cropped by a box, written anew; and what is known of it."""
+"""A splat file that is viewed: read, turned upright, cropped by a box, written; and cameras that show all of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from assets.gaussians import Gaussians
-from assets.splat_files import kind_to_write, write_gaussians
-from assets.up_axis import rotation_to_up
+from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
+from assets.up_axis import alternatives, rotation_to_up
+from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
+from core.morton import morton_order
+from scenes.scene import Scene
 
 UP_AXES = ("+y", "-y", "+z", "-z", "+x", "-x")  # in the order in which they are tried
+FOV_Y = 0.9  # [rad]
+FAINT_OPACITY = 0.02  # of the most opaque Gaussian; fainter ones do not count for the size
+ELEVATION = np.radians(15.0)  # [rad] of the first view
+DISTANCE_MARGIN = 1.08  # of the distance at which a ball around the splats fills the picture
+BACKGROUND = (0.12, 0.13, 0.14)
 FINE = 1e-4  # of a side of the crop: ends that lie so near to the sides cut nothing
 
 
@@ -57,8 +66,6 @@ class ViewedFile:
     @classmethod
     def read(cls, path: Path, up: str | None) -> ViewedFile:
         """Read a file. Raises BadInput."""
-        from display.viewer import turned_up, up_note
-
         gaussians, chances = turned_up(path, up)
         up = next(iter(chances))
         turn, note = rotation_to_up(up), up_note(chances)
@@ -113,6 +120,7 @@ class ViewedFile:
         write_gaussians(out, kept)
         return len(kept)
 
+    @cached_property
     def facts(self) -> list[tuple[str, str]]:
         """Its statistics: (name, value)."""
         g, size = self.gaussians, self.bounds.high - self.bounds.low
@@ -135,3 +143,75 @@ def bounds_of(gaussians: Gaussians) -> Box:
     """The box of the Gaussians' means."""
     means = gaussians.means.astype(np.float64)
     return Box(means.min(0), means.max(0))
+
+
+# Reading
+
+
+def upright(path, up: str | None) -> tuple[Gaussians, str]:
+    """The file's Gaussians turned so that `up` is +y, and a note on that; None: guessed, but for a prepared asset."""
+    gaussians, chances = turned_up(path, up)
+    return gaussians, up_note(chances)
+
+
+def turned_up(path, up: str | None) -> tuple[Gaussians, dict[str, float]]:
+    """The file's Gaussians turned so that `up` is +y; None: the most probable axis, but for a prepared asset.
+
+    Out.  the probabilities of the axes that may point up, the one that was taken first
+    """
+    from assets.up_axis import up_probabilities
+
+    gaussians = read_gaussians(path)
+    if up is None and not str(path).lower().endswith(".h5"):
+        chances = up_probabilities(gaussians)
+    else:
+        chances = {up or "+y": 1.0}
+    chances = dict(sorted(chances.items(), key=lambda item: -item[1]))
+    up = next(iter(chances))
+    if up != "+y":
+        gaussians = gaussians.transformed(rotation_to_up(up), (0.0, 0.0, 0.0), 1.0)
+    return gaussians.select(morton_order(gaussians.means)), chances
+
+
+def up_note(chances: dict[str, float]) -> str:
+    """A note on which axis is up, the first, and what else may be."""
+    up, sure = next(iter(chances.items()))
+    if len(chances) == 1:
+        return f"{up} is up"
+    others = ", ".join(f"{other} {chances[other]:.0%}" for other in alternatives(chances)[1:])
+    return f"{up} is up (guessed, {sure:.0%} sure{f'; else {others}' if others else ''}; --up overrides)"
+
+
+# Where to look from
+
+
+def middle_and_radius(gaussians: Gaussians) -> tuple[np.ndarray, float]:
+    """Middle (3,) and radius [m] of the Gaussians, without the outermost hundredth on each side."""
+    seen = gaussians.opacities > FAINT_OPACITY * gaussians.opacities.max(initial=0.0)
+    points = gaussians.means[seen].astype(np.float64)
+    low, high = np.percentile(points, [1.0, 99.0], axis=0)
+    middle = 0.5 * (low + high)
+    largest = float(np.exp(gaussians.log_scales[seen].astype(np.float64)).max(initial=1e-6))
+    radius = float(np.percentile(np.linalg.norm(points - middle, axis=1), 98.0))
+    return middle, radius if radius > 0.0 else 3.0 * largest
+
+
+def eye_around(middle, radius: float, yaw: float, *, elevation: float = ELEVATION, aspect: float = 1.0) -> np.ndarray:
+    """Position of an eye that sees a whole ball of `radius` [m], `yaw` right of and `elevation` above it [rad]."""
+    narrow = np.arctan(np.tan(0.5 * FOV_Y) * min(aspect, 1.0))
+    direction = np.array([np.sin(yaw) * np.cos(elevation), np.sin(elevation), np.cos(yaw) * np.cos(elevation)])
+    return np.asarray(middle) + DISTANCE_MARGIN * radius / np.sin(narrow) * direction
+
+
+def camera_around(gaussians: Gaussians, width: int, height: int, yaw: float, *, elevation: float = ELEVATION) -> Camera:
+    """A camera that shows all Gaussians from `yaw` [rad]."""
+    middle, radius = middle_and_radius(gaussians)
+    eye = eye_around(middle, radius, yaw, elevation=elevation, aspect=width / height)
+    return perspective(width, height, FOV_Y, look_at(eye, middle))
+
+
+def scene_around(gaussians: Gaussians, aspect: float) -> Scene:
+    """A scene without bodies: only where to look from."""
+    middle, radius = middle_and_radius(gaussians)
+    eye = eye_around(middle, radius, 0.0, aspect=aspect)
+    return Scene(bodies=[], light=None, eye=tuple(eye), target=tuple(middle), fov_y=FOV_Y, background=BACKGROUND)

@@ -19,8 +19,8 @@ from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
 from display.edit.editor import Editor
 from display.edit.room_turn import RoomTurn
+from display.picture import surface_point
 from display.protocol import Frame, WorldView
-from display.surface_point import surface_point
 from display.timing import Timings
 from display.user_commands import (
     MIN_TIME_SCALE,

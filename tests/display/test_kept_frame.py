@@ -15,8 +15,8 @@ from display.keep.keeper import Keeper
 from display.keep.kept_frame import frame_writer
 from display.protocol import Frame
 from display.user_commands import KeepFrame, Pause, Place, Rescale, Rotate, TurnUp
-from display.viewed_file import ViewedFile
-from display.viewer import Viewer, scene_around
+from display.viewed_file import ViewedFile, scene_around
+from display.viewer import Viewer
 from scenes.dining_table import RING_MATERIAL as RUBBER
 from scenes.scene import Scene
 from tests.support.samples import some_gaussians

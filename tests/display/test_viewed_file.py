@@ -13,8 +13,8 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from display import user_commands
 from display.protocol import Frame, Line
-from display.viewed_file import UP_AXES, ViewedFile
-from display.viewer import BACKGROUNDS, Viewer, scene_around
+from display.viewed_file import UP_AXES, ViewedFile, scene_around
+from display.viewer import BACKGROUNDS, Viewer
 from display.window.line_overlay import visible_part
 from display.window.panel.file_section import sliders
 
@@ -63,7 +63,7 @@ def test_a_crop_leaves_what_lies_in_it_and_is_written(file, tmp_path):
     assert cropped.write(tmp_path / "half.ply") == count
     half = read_gaussians(tmp_path / "half.ply")
     assert len(half) == count and half.means[:, 1].min() >= 0
-    assert ("within the crop", f"{count:,}") in cropped.facts() and len(cropped.crop.edges()) == 12
+    assert ("within the crop", f"{count:,}") in cropped.facts and len(cropped.crop.edges()) == 12
     assert cropped.cropped(file.bounds.low, file.bounds.high).crop is None
     with pytest.raises(BadInput, match="holds no Gaussians"):
         file.cropped(np.full(3, 8.0), np.full(3, 9.0)).write(tmp_path / "none.ply")

@@ -12,7 +12,7 @@ import pytest
 import vrgs
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
-from display.viewer import camera_around, middle_and_radius, upright
+from display.viewed_file import camera_around, middle_and_radius, upright
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
 PROGRAM = Path(__file__).resolve().parents[2] / "vrgs.py"

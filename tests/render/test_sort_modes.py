@@ -74,7 +74,7 @@ def test_the_measure_of_popping_sees_what_sorting_by_distance_avoids(ti_cpu):
     """Large translucent Gaussians of many colours, for which the order matters."""
     from assets.gaussians import Gaussians
     from bench import popping
-    from display.viewer import camera_around
+    from display.viewed_file import camera_around
 
     rng = np.random.default_rng(5)
     n = 300

@@ -38,7 +38,7 @@ class FileSection(Section):
         names = {name: tip for name, (_, tip) in BUTTONS.items() if count > 1 or name != "Next file"}
         pressed = button_grid(names, 2)
         if imgui.begin_table("facts", 2, imgui.TableFlags_.sizing_stretch_prop):
-            for name, value in world.facts:
+            for name, value in world.file.facts:
                 table_row(name, value)
             imgui.end_table()
         if pressed is None:

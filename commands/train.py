@@ -319,6 +319,7 @@ class _Progress:
 def _preview(args: argparse.Namespace, capture, trainer, progress: _Progress) -> None:
     """Show the Gaussians in a window while they are trained, until the window is closed or the training ends."""
     from display.viewed_file import BACKGROUND
+    from display.viewer import TrainingWorld
     from display.window.window import Window
     from scenes.scene import Scene
 

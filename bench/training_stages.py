@@ -5,7 +5,6 @@ from time import perf_counter
 import taichi as ti
 
 from prepare.train.image_loss import DSSIM_WEIGHT
-from prepare.train.train_options import BETA1, BETA2
 
 
 @ti.data_oriented
@@ -24,10 +23,7 @@ class StagedStep:
             self._backward = _StagedBackward(passes)
         rasterizer, population = step.renderer.rasterizer, trainer.population
         rows = population.frozen, population.count
-        options, rates = trainer.options, trainer.rates
-        mean_rate = rates.of_mean(options.steps, options.steps, trainer.extent)
-        of_all = (mean_rate, rates.quat, rates.log_scale, rates.logit, rates.color, rates.harmonics)
-        biases = (1.0 - BETA1**trainer.done, 1.0 - BETA2**trainer.done)
+        adam = trainer.adam_step(camera, population.splats.coefficients)
         size = camera.height, camera.width
         return _timed(
             {
@@ -37,9 +33,7 @@ class StagedStep:
                 "loss and its gradient": lambda: self._backward.loss(image, *size, 1.0 / (3 * counted), DSSIM_WEIGHT),
                 "backward of blend": lambda: self._backward.blend(population.count),
                 "backward of projection": lambda: self._backward.project(*rows),
-                "Adam": lambda: step.update(
-                    camera, of_all, biases, population.splats.coefficients, trainer.extent, (0.0, 0.0), options.sparse
-                ),
+                "Adam": lambda: step.update(adam),
             }
         )
 

@@ -13,8 +13,8 @@ from prepare.train.population import Population
 
 START, STOP, EVERY = 500, 15_000, 100  # steps of training
 RESET_EVERY = 3000  # steps between two resets of the opacities
-PULL_MIN = 2e-4  # [1/half picture] mean pull above which detail is missing
-FAR = 0.37  # of the extent: depth from which on a pull counts in full (Pixel-GS)
+GRADIENT_MIN = 2e-4  # [1/half picture] mean positional gradient above which detail is missing
+FAR = 0.37  # of the extent: depth from which on a positional gradient counts in full (Pixel-GS)
 SMALL = 0.01  # of the extent: smaller ones are cloned, larger ones split
 SPLIT_SHRINK = 1.6
 OPACITY_MIN, OPACITY_RESET = 0.005, 0.01
@@ -36,11 +36,11 @@ def logit(p: float) -> float:
 
 @dataclass
 class AdaptiveDensity:
-    """Kerbl 2023, Sec. 5: clone and split where `pull` is large, prune faint Gaussians, reset opacities.
+    """Kerbl 2023, Sec. 5: clone and split where positional gradients are large, prune what is faint, reset opacities.
 
     Large Gaussians are not pruned as they are there: what lies far behind the objects is meant to be large.
 
-    cap      upper limit of Gaussians, frozen ones included; those with the largest pull are divided first
+    cap      upper limit of Gaussians, frozen ones included; those with the largest gradients are divided first
     budgeted the limit rises to `cap` by a schedule, fast at first, so that early steps cost less
     resets   opacities are lowered each RESET_EVERY steps
     start    Gaussians from which the schedule begins
@@ -76,13 +76,13 @@ class AdaptiveDensity:
         """Clone, split and prune once, up to `most` Gaussians (default: the cap)."""
         p = self.population
         n = p.count
-        pull = p.pull.to_numpy()[:n] / np.maximum(p.pulls.to_numpy()[:n], 1.0)
-        pull[: p.frozen] = 0.0
+        gradient = p.gradient_sum.to_numpy()[:n] / np.maximum(p.gradient_count.to_numpy()[:n], 1.0)
+        gradient[: p.frozen] = 0.0
         scale = np.exp(p.parameters.log_scale.to_numpy()[:n].max(axis=1))
-        divided = np.flatnonzero(pull > PULL_MIN)
+        divided = np.flatnonzero(gradient > GRADIENT_MIN)
         room = max(0, min(self.cap if most is None else most, p.capacity) - n)
         if len(divided) > room:
-            divided = np.sort(divided[np.argsort(-pull[divided], kind="stable")[:room]])
+            divided = np.sort(divided[np.argsort(-gradient[divided], kind="stable")[:room]])
         added = np.arange(n, n + len(divided))
         p.copy(divided, added, moments=False)
         p.splats.set_count(n + len(divided))
@@ -116,7 +116,7 @@ class MonteCarlo:
             self.relocate()
             self.grow()
             p.activate()
-        p.shake(p.frozen, p.count, NOISE * mean_rate, int(self.rng.integers(1 << 32)))
+        p.add_noise(p.frozen, p.count, NOISE * mean_rate, int(self.rng.integers(1 << 32)))
 
     def relocate(self) -> None:
         """Move dead Gaussians to live ones, drawn by their opacity."""

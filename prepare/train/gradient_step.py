@@ -6,7 +6,8 @@ import taichi as ti
 from core.camera import Camera
 from prepare.train.image_loss import DSSIM_WEIGHT, ImageLoss
 from prepare.train.object_labels import LabelPass
-from prepare.train.population import Population
+from prepare.train.population import AdamStep, Population
+from prepare.train.train_options import BETA1, BETA2
 from prepare.train.view_corrections import Exposure
 from render.blend_gradients import BlendGradients
 from render.projection_gradients import ProjectionGradients
@@ -84,14 +85,14 @@ class GradientStep:
             passes.labels.backward(mask, rows[1], camera.height, camera.width, mask_scale)
             passes.compute_projection(*rows)
 
-    def update_labels(self, biases) -> None:
-        """A step of Adam for the labels with the gradients of the last `compute` with a mask."""
+    def update_labels(self, step: int) -> None:
+        """A step of Adam, counted from 1, for the labels with the gradients of the last `compute` with a mask."""
+        biases = 1.0 - BETA1**step, 1.0 - BETA2**step
         self._passes.update_labels(self.population.frozen, self.population.count, *biases)
 
-    def update(self, camera: Camera, rates, biases, active: int, far: float, costs, sparse: bool = False) -> None:
-        """A step of Adam with the gradients of the last `compute`, see `Population.update`."""
-        numbers = (*rates, *biases, active, 0.5 * camera.width, 0.5 * camera.height, far, *costs, int(sparse))
-        self._passes.update(self.population.frozen, self.population.count, *numbers)
+    def update(self, step: AdamStep) -> None:
+        """A step of Adam with the gradients of the last `compute`."""
+        self._passes.update(self.population.frozen, self.population.count, step)
 
     def camera_gradient(self) -> np.ndarray:
         """Gradient of the last `compute` with respect to the rows of world_to_camera, (3, 4); waits for the device."""
@@ -202,13 +203,6 @@ class _BackwardPass:
         self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, 0.0, 0.0)
 
     @ti.kernel
-    def update(
-        self, begin: ti.i32, end: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32, logit: ti.f32,
-        color: ti.f32, harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32, half_width: ti.f32,
-        half_height: ti.f32, far: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
-    ):  # fmt: skip
-        self.population.update(
-            self.gradients, begin, end, mean, quat, log_scale, logit, color, harmonics, bias1, bias2, active,
-            half_width, half_height, far, opacity_cost, scale_cost, sparse,
-        )  # fmt: skip
+    def update(self, begin: ti.i32, end: ti.i32, step: AdamStep):
+        self.population.update(self.gradients, begin, end, step)
         self.population.parameters.activate(begin, end)

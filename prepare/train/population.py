@@ -88,6 +88,36 @@ class Parameters:
         return d_quat, d_log_scale, gradients.d_opacity[g] * opacity * (1.0 - opacity)
 
 
+@ti.dataclass
+class AdamStep:
+    """Numbers of one step of Adam.
+
+    mean to harmonics        learning rates
+    bias1, bias2             1 - beta^t of this step
+    active                   number of coefficients of the harmonics that are learned by now
+    half_width, half_height  of the picture [px]
+    far                      depth from which on a positional gradient counts in full
+    opacity_cost, scale_cost derivatives of the loss by each opacity and scale, over the number of Gaussians
+    sparse                   1: Gaussians outside the picture are not updated, nor their moments
+    """
+
+    mean: ti.f32
+    quat: ti.f32
+    log_scale: ti.f32
+    logit: ti.f32
+    color: ti.f32
+    harmonics: ti.f32
+    bias1: ti.f32
+    bias2: ti.f32
+    active: ti.i32
+    half_width: ti.f32
+    half_height: ti.f32
+    far: ti.f32
+    opacity_cost: ti.f32
+    scale_cost: ti.f32
+    sparse: ti.i32
+
+
 @ti.data_oriented
 class Population:
     """Up to `capacity` Gaussians with all data that training needs.
@@ -95,13 +125,12 @@ class Population:
     parameters  learned form of rotation, scale and opacity; means and harmonics are learned in `splats`
     first, second        moments of Adam of mean, quat, log_scale, logit, in this order
     first_sh, second_sh  those of the harmonics
-    pull        sum over steps since the last clearing of the norm of the gradient with respect to the position in the
-                picture [1/half picture], less near the camera (Pixel-GS, Zhang et al. 2024): else what hangs in the air
-                before one camera multiplies; `pulls` counts those steps, in which the Gaussian was visible
-
-    labels      of their objects, if there are masks
-
-    frozen      number of first rows that are drawn but never change, move or disappear
+    gradient_sum    sum over steps since the last clearing of the norm of the gradient with respect to the position in
+                    the picture [1/half picture], less near the camera (Pixel-GS, Zhang et al. 2024): else what hangs
+                    in the air before one camera multiplies
+    gradient_count  number of those steps, in which the Gaussian was visible
+    labels          of their objects, if there are masks
+    frozen          number of first rows that are drawn but never change, move or disappear
 
     Rows beyond `count` are unused. The host decides which rows are copied and dropped (prepare/train/densification.py);
     no kernel depends on `count`.
@@ -117,7 +146,7 @@ class Population:
         self.fields = f = FieldGroup()
         self.first, self.second = (f.vector(self.capacity, n=GEOMETRY) for _ in range(2))
         self.first_sh, self.second_sh = (f.vector(self.capacity, coefficients) for _ in range(2))
-        self.pull, self.pulls = f.scalar(self.capacity), f.scalar(self.capacity)
+        self.gradient_sum, self.gradient_count = f.scalar(self.capacity), f.scalar(self.capacity)
         f.build()
         for field, values in (
             (self.parameters.quat, gaussians.quats),
@@ -148,7 +177,7 @@ class Population:
         if self.labelled:
             own = self.labels
             names |= {"label": own.value, "first_label": own.first, "second_label": own.second}
-        return names | {"pull": self.pull, "pulls": self.pulls}
+        return names | {"gradient_sum": self.gradient_sum, "gradient_count": self.gradient_count}
 
     def read(self) -> dict[str, np.ndarray]:
         """Copies of all rows in use, on the host."""
@@ -178,29 +207,20 @@ class Population:
         self.parameters.activate(0, count)
 
     @ti.func
-    def update(
-        self, gradients: ti.template(), begin: ti.i32, end: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32,
-        logit: ti.f32, color: ti.f32, harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32,
-        half_width: ti.f32, half_height: ti.f32, far: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
-    ):  # fmt: skip
-        """A step of Adam for Gaussians [begin, end) with the gradients of this step; outermost level of a kernel.
-
-        mean to harmonics      learning rates; bias1, bias2: 1 - beta^t of this step
-        active                 number of coefficients of the harmonics that are learned by now
-        half_width, half_height  of the picture [px]
-        far                    depth from which on a Gaussian's pull counts in full
-        opacity_cost, scale_cost derivatives of the loss by each opacity and scale, over the number of Gaussians
-        sparse                 1: Gaussians outside the picture are not updated, nor their moments
-        """
+    def update(self, gradients: ti.template(), begin: ti.i32, end: ti.i32, step: ti.template()):
+        """A step of Adam for Gaussians [begin, end) with the gradients of this step, an `AdamStep`; outermost level of
+        a kernel."""
         for g in range(begin, end):
             seen = gradients.seen(g)
-            if seen or sparse == 0:
+            if seen or step.sparse == 0:
                 d = geometry(0.0)
                 if seen:
-                    pull = gradients.blend.d_mean2d(g)
-                    share = ti.min(gradients.projection.mean2d[0, g][3] / far, 1.0) ** 2
-                    self.pull[g] += share * ti.math.vec2(pull.x * half_width, pull.y * half_height).norm()
-                    self.pulls[g] += 1.0
+                    d_position = gradients.blend.d_mean2d(g)
+                    share = ti.min(gradients.projection.mean2d[0, g][3] / step.far, 1.0) ** 2
+                    self.gradient_sum[g] += (
+                        share * ti.math.vec2(d_position.x * step.half_width, d_position.y * step.half_height).norm()
+                    )
+                    self.gradient_count[g] += 1.0
                     d_mean = gradients.d_mean[g]
                     d_quat, d_log_scale, d_logit = self.parameters.backward(g, gradients)
                     for k in ti.static(range(3)):
@@ -209,30 +229,30 @@ class Population:
                         d[3 + k] = d_quat[k]
                     d[10] = d_logit
                 opacity = self.splats.opacity[g]
-                d[10] += opacity_cost * opacity * (1.0 - opacity)
+                d[10] += step.opacity_cost * opacity * (1.0 - opacity)
                 for k in ti.static(range(3)):
-                    d[7 + k] += scale_cost * ti.exp(self.parameters.log_scale[g][k])
+                    d[7 + k] += step.scale_cost * ti.exp(self.parameters.log_scale[g][k])
                 first = BETA1 * self.first[g] + (1.0 - BETA1) * d
                 second = BETA2 * self.second[g] + (1.0 - BETA2) * d * d
                 self.first[g], self.second[g] = first, second
-                move = (first / bias1) / (ti.sqrt(second / bias2) + EPSILON)
+                move = (first / step.bias1) / (ti.sqrt(second / step.bias2) + EPSILON)
                 for k in ti.static(range(3)):
-                    self.splats.mean[g][k] -= mean * move[k]
-                    self.parameters.log_scale[g][k] -= log_scale * move[7 + k]
+                    self.splats.mean[g][k] -= step.mean * move[k]
+                    self.parameters.log_scale[g][k] -= step.log_scale * move[7 + k]
                 for k in ti.static(range(4)):
-                    self.parameters.quat[g][k] -= quat * move[3 + k]
-                self.parameters.logit[g] -= logit * move[10]
-        for g, k in ti.ndrange((begin, end), active):
+                    self.parameters.quat[g][k] -= step.quat * move[3 + k]
+                self.parameters.logit[g] -= step.logit * move[10]
+        for g, k in ti.ndrange((begin, end), step.active):
             seen = gradients.seen(g)
-            if seen or sparse == 0:
+            if seen or step.sparse == 0:
                 d_sh = vec3(0.0)
                 if seen:
                     d_sh = gradients.d_sh[g, k]
                 first_sh = BETA1 * self.first_sh[g, k] + (1.0 - BETA1) * d_sh
                 second_sh = BETA2 * self.second_sh[g, k] + (1.0 - BETA2) * d_sh * d_sh
                 self.first_sh[g, k], self.second_sh[g, k] = first_sh, second_sh
-                rate = color if k == 0 else harmonics
-                self.splats.sh[g, k] -= rate * (first_sh / bias1) / (ti.sqrt(second_sh / bias2) + EPSILON)
+                rate = step.color if k == 0 else step.harmonics
+                self.splats.sh[g, k] -= rate * (first_sh / step.bias1) / (ti.sqrt(second_sh / step.bias2) + EPSILON)
 
     # births and deaths
 
@@ -264,7 +284,8 @@ class Population:
         self.first[b], self.second[b] = keep * self.first[a], keep * self.second[a]
         for k in range(self.splats.coefficients):
             self.first_sh[b, k], self.second_sh[b, k] = keep * self.first_sh[a, k], keep * self.second_sh[a, k]
-        self.pull[b], self.pulls[b] = keep * self.pull[a], keep * self.pulls[a]
+        self.gradient_sum[b] = keep * self.gradient_sum[a]
+        self.gradient_count[b] = keep * self.gradient_count[a]
         if ti.static(self.labelled):
             self.labels.set_moments(a, b, keep)
 
@@ -294,9 +315,9 @@ class Population:
             self._set_moments(g, g, 0.0)
 
     def clear_statistics(self) -> None:
-        """Forget the sums of `pull`."""
-        self.pull.fill(0.0)
-        self.pulls.fill(0.0)
+        """Forget the sums and counts of the gradients."""
+        self.gradient_sum.fill(0.0)
+        self.gradient_count.fill(0.0)
 
     @ti.kernel
     def limit_logits(self, begin: ti.i32, end: ti.i32, limit: ti.f32):
@@ -318,7 +339,7 @@ class Population:
             self._set_moments(g, g, 0.0)
 
     @ti.kernel
-    def shake(self, begin: ti.i32, end: ti.i32, amount: ti.f32, seed: ti.u32):
+    def add_noise(self, begin: ti.i32, end: ti.i32, amount: ti.f32, seed: ti.u32):
         """Move Gaussians [begin, end) at random along their axes, more the fainter they are (Kheradmand 2024, eq. 8).
 
         Sigma n times `amount`, n standard normal, times a logistic function that vanishes for opacities above 0.005.

@@ -17,7 +17,7 @@ from prepare.train.densification import FAR, AdaptiveDensity, MonteCarlo, free_r
 from prepare.train.gradient_step import GradientStep
 from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label, packed_labels
 from prepare.train.photographs import Photograph, reduced
-from prepare.train.population import Population
+from prepare.train.population import AdamStep, Population
 from prepare.train.train_options import BETA1, BETA2, LearningRates, TrainOptions
 from prepare.train.view_corrections import Exposures, Poses
 
@@ -25,9 +25,9 @@ COARSE = (4, 2)  # divisors of width and height in the coarse stage, each for an
 SIDE_MIN = 32  # [px] smaller pictures are not reduced: SSIM's window is 11
 CLEARED = (0.5, 0.6, 0.7, 0.8, 0.9)  # fractions of a training at which free space is cleared: growth has ended
 STRATEGIES = {"default": AdaptiveDensity, "mcmc": MonteCarlo}
-FORMAT, VERSION = "vrgs-training", 1
+FORMAT, VERSION = "vrgs-training", 2
 COLUMNS = {"mean": (3,), "quat": (4,), "log_scale": (3,), "logit": (), "first": (11,), "second": (11,)}
-COLUMNS |= {"pull": (), "pulls": ()}
+COLUMNS |= {"gradient_sum": (), "gradient_count": ()}
 OF_VIEWS = (("exposure", "exposure", 12), ("poses", "pose", 6))  # option, dataset, numbers a view
 HARMONICS = ("sh", "first_sh", "second_sh")
 LABELS = ("label", "first_label", "second_label")  # if objects are learned
@@ -123,9 +123,14 @@ class Trainer:
         self.views = TrainingViews(photographs, options.coarse, len(self.objects))
         cameras = self.views.cameras
         size = max(c.height for c in cameras), max(c.width for c in cameras)
-        drawn = {"antialias": options.antialias, "sort": options.sort}
-        drawn |= {"exposes": options.exposure, "of_camera": options.poses}
-        self.gradients = GradientStep(self.population, *size, **drawn)
+        self.gradients = GradientStep(
+            self.population,
+            *size,
+            antialias=options.antialias,
+            sort=options.sort,
+            exposes=options.exposure,
+            of_camera=options.poses,
+        )
         self.exposures = Exposures(len(cameras)) if options.exposure else None
         self.poses = Poses([c.world_to_camera for c in cameras], extent, options.steps) if options.poses else None
         self.rates = LearningRates()
@@ -142,15 +147,12 @@ class Trainer:
         if not self._queue:
             self._queue = self.rng.permutation(len(self.views)).tolist()
         view = self._queue.pop()
-        o, r = self.options, self.rates
-        learning = max(1, self.population.count - self.population.frozen)
+        o = self.options
         progress = self.done / max(o.steps, 1)
-        mean_rate = r.of_mean(self.done, o.steps, self.extent)
         degree = min(o.degree, self.done // o.degree_interval)
         if self.poses is not None:
             self.views.set_pose(view, self.poses.of(view))  # others' steps moved it, too
         self.done += 1
-        biases = 1.0 - BETA1**self.done, 1.0 - BETA2**self.done
         target = self.views.at(view, progress)
         if self.exposures is not None:
             self.gradients.exposure.set(self.exposures.of(view))
@@ -161,19 +163,34 @@ class Trainer:
         if self.poses is not None:
             self.poses.learn(view, self.gradients.camera_gradient(), progress)
         if target.mask is not None:
-            self.gradients.update_labels(biases)
-        self.gradients.update(
-            target.camera,
-            (mean_rate, r.quat, r.log_scale, r.logit, r.color, r.harmonics),
-            biases,
-            SH_COUNTS[degree] if self.done % o.harmonics_every == 0 else 1,
-            FAR * self.extent,
-            (self.strategy.opacity_cost / learning, self.strategy.scale_cost / (3 * learning)),
-            o.sparse,
-        )
-        self.strategy.after(self.done, o.steps, mean_rate)
+            self.gradients.update_labels(self.done)
+        step = self.adam_step(target.camera, SH_COUNTS[degree] if self.done % o.harmonics_every == 0 else 1)
+        self.gradients.update(step)
+        self.strategy.after(self.done, o.steps, step.mean)
         if o.free_space and self.done in {round(part * o.steps) for part in CLEARED}:
             self.clear_free_space()
+
+    def adam_step(self, camera: Camera, active: int) -> AdamStep:
+        """Numbers of step `done` of Adam, counted from 1; `active` coefficients of the harmonics are learned."""
+        o, r = self.options, self.rates
+        learning = max(1, self.population.count - self.population.frozen)
+        return AdamStep(
+            mean=r.of_mean(self.done - 1, o.steps, self.extent),
+            quat=r.quat,
+            log_scale=r.log_scale,
+            logit=r.logit,
+            color=r.color,
+            harmonics=r.harmonics,
+            bias1=1.0 - BETA1**self.done,
+            bias2=1.0 - BETA2**self.done,
+            active=active,
+            half_width=0.5 * camera.width,
+            half_height=0.5 * camera.height,
+            far=FAR * self.extent,
+            opacity_cost=self.strategy.opacity_cost / learning,
+            scale_cost=self.strategy.scale_cost / (3 * learning),
+            sparse=int(o.sparse),
+        )
 
     def clear_free_space(self) -> None:
         """Remove the Gaussians in the free space around the cameras."""

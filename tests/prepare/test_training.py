@@ -18,6 +18,7 @@ from prepare.train.capture import Capture, Lens, View
 from prepare.train.densification import AdaptiveDensity, MonteCarlo, logit, shared_opacity_and_scale
 from prepare.train.image_loss import SIDE_MIN, lpips_distance
 from prepare.train.photographs import Photograph
+from prepare.train.population import AdamStep
 from prepare.train.seeds import CELLS, seeds, with_background
 from prepare.train.trainer import Trainer, TrainOptions, read_checkpoint, write_checkpoint
 from tests.support.painted_capture import SIDE, cameras, painted_gaussians, photographs, sparse_points, write_capture
@@ -76,34 +77,40 @@ def test_a_restored_trainer_goes_on_as_the_first_one(trained, tmp_path):
         read_checkpoint(tmp_path / "a.h5", {"degree": 1}, len(cameras()))
 
 
-def test_a_pull_counts_less_near_the_camera(trained):
+def test_a_positional_gradient_counts_less_near_the_camera(trained):
     trainer = trained[0]
     p, view = trainer.population, trainer.views.at(0, 1.0)
-    kept, pulls = p.read(), []
+    kept, sums = p.read(), []
     depth = kept["mean"] @ view.camera.world_to_camera[2, :3] + view.camera.world_to_camera[2, 3]
     far = float(np.median(depth))
     for full in (1e-6, far):
-        p.write(kept | {"pull": np.zeros(p.count, np.float32)})
+        p.write(kept | {"gradient_sum": np.zeros(p.count, np.float32)})
         trainer.gradients.compute(view.image, view.camera, 1.0 / (3 * view.counted))
-        trainer.gradients.update(view.camera, (0.0,) * 6, (1.0, 1.0), 1, full, (0.0, 0.0))
-        pulls.append(p.pull.to_numpy()[: p.count])
+        size = {"half_width": 0.5 * view.camera.width, "half_height": 0.5 * view.camera.height}
+        trainer.gradients.update(AdamStep(bias1=1.0, bias2=1.0, active=1, far=full, **size))  # no rates: nothing moves
+        sums.append(p.gradient_sum.to_numpy()[: p.count])
     p.write(kept)
-    seen = pulls[0] > 0
+    seen = sums[0] > 0
     assert (depth[seen] < far).any() and (depth[seen] > far).any()
-    assert_allclose(pulls[1][seen], (pulls[0] * np.minimum(depth / far, 1.0) ** 2)[seen], rtol=1e-4)
+    assert_allclose(sums[1][seen], (sums[0] * np.minimum(depth / far, 1.0) ** 2)[seen], rtol=1e-4)
 
 
-def test_what_is_pulled_is_cloned_or_split_and_what_is_faint_dies(trained):
+def test_large_gradients_clone_or_split_and_what_is_faint_dies(trained):
     p = trained[0].population
     kept, n = p.read(), p.count
     strategy = AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
-    pull, scales, logits = np.zeros(n, np.float32), np.full((n, 3), np.log(0.005), np.float32), np.zeros(n, np.float32)
-    pull[[3, 5]], scales[5], logits[[0, 8]] = 1.0, np.log(0.05), logit(0.001)
-    rows = kept | {"pull": pull, "pulls": np.ones(n, np.float32), "log_scale": scales, "logit": logits}
+    total, scales, logits = np.zeros(n, np.float32), np.full((n, 3), np.log(0.005), np.float32), np.zeros(n, np.float32)
+    total[[3, 5]], scales[5], logits[[0, 8]] = 1.0, np.log(0.05), logit(0.001)
+    rows = kept | {
+        "gradient_sum": total,
+        "gradient_count": np.ones(n, np.float32),
+        "log_scale": scales,
+        "logit": logits,
+    }
     p.write(rows)
     strategy.refine()
     after = p.read()
-    assert p.count == n + 2 - 2 and not after["pull"].any()
+    assert p.count == n + 2 - 2 and not after["gradient_sum"].any()
     assert_array_equal(after["mean"][3], kept["mean"][3])  # the clone keeps its moments, its copy has none
     assert_array_equal(after["first"][3], kept["first"][3])
     moved = {tuple(row) for row in after["mean"].tolist()}
@@ -112,7 +119,7 @@ def test_what_is_pulled_is_cloned_or_split_and_what_is_faint_dies(trained):
     assert small == 2 and np.linalg.norm(after["mean"][5] - kept["mean"][5]) < 0.3
     gone = {tuple(kept["mean"][k].tolist()) for k in (0, 8)}
     assert not gone & moved and len(moved & {tuple(m) for m in kept["mean"].tolist()}) == n - 3
-    rows["pull"] = np.ones(n, np.float32)
+    rows["gradient_sum"] = np.ones(n, np.float32)
     p.write(rows)
     strategy.refine()
     assert p.count <= CAP  # the budget holds
@@ -127,7 +134,7 @@ def test_frozen_gaussians_stay_as_they_are_bit_for_bit(trained):
     p.frozen = frozen
     try:
         faint = np.where(np.arange(p.count) % 5 == 0, logit(0.001), 0.0).astype(np.float32)
-        p.write(p.read() | {"logit": faint, "pull": np.ones(p.count, np.float32)})
+        p.write(p.read() | {"logit": faint, "gradient_sum": np.ones(p.count, np.float32)})
         before, cov = p.read(), p.splats.cov.to_numpy()
         adaptive = AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
         adaptive.refine()
@@ -173,10 +180,10 @@ def test_monte_carlo_fills_its_budget_and_revives_the_dead(trained):
     assert p.count == min(n + 30, CAP)
     p.activate()
     before = p.read()["mean"]
-    p.shake(0, p.count, 0.1, 7)
+    p.add_noise(0, p.count, 0.1, 7)
     assert np.linalg.norm(p.read()["mean"] - before, axis=1).max() < 1e-6  # opaque ones stay
     p.write(p.read() | {"logit": np.full(p.count, logit(0.001), np.float32)})
-    p.shake(0, p.count, 0.1, 7)
+    p.add_noise(0, p.count, 0.1, 7)
     moved = p.read()["mean"] - before
     cov = p.splats.cov.to_numpy()[: p.count, [0, 3, 5]]
     assert 0.3 < np.std(moved / (0.1 * cov)) < 3.0 and abs(np.mean(moved / cov)) < 0.05

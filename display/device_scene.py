@@ -22,8 +22,7 @@ from render import MOVING_SORT
 from render.renderer import Renderer
 from render.shadow_map import ShadowMap
 from render.skinned_props import Skin, SkinnedProps
-from render.splats import Splats
-from render.still_pose import StillPose
+from render.splats import Splats, StillPose
 from scenes.scene import Scene
 from sim.contact.contact_samples import MAX_SAMPLES
 from sim.contact.static_shapes import LineOfSight, placed

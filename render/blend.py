@@ -2,33 +2,127 @@
 
 C = sum c_i alpha_i T_i,  T_i = prod_{j<i} (1 - alpha_j),
 alpha_i = min(0.999, o_i exp(-0.5 d^T Sigma_2D^-1 d)).                    Kerbl 2023, eq. 3
+
+A CUDA block draws a tile of ACROSS x DOWN cells, CELL x CELL pixels each. Splats come through shared memory in batches.
+The thread that loads a splat finds the cells that it touches; a warp reads them as one bit per splat and visits the set
+bits, so that splats outside of its cell cost it nothing.
 """
 
 import taichi as ti
 
 from render.binning import TileBins
-from render.footprint import CUTOFF_BITS
+from render.footprint import CUTOFF_BITS, horizontal_extent
 from render.radix_sort import value_of
-from render.tile_batch import (
-    ACROSS,
-    ALPHA_MAX,
-    BATCH,
-    CELL,
-    CELL_BITS,
-    CHECK_INTERVAL,
-    CPU_TILE,
-    DOWN,
-    GPU_TILE,
-    MIN_TRANSMITTANCE,
-    QUAD,
-    exp2,
-    load_member,
-    tile_origin,
-)
 
+ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weights stay finite
+MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before its transmittance would fall to this
+CPU_TILE = 8  # [px] a row of a tile is one vector register of floats
+CHECK_INTERVAL = 16  # splats between two tests, on the CPU, of whether all pixels are finished
+CELL = 8  # [px]
+ACROSS, DOWN = 4, 2  # cells of a tile; larger tiles make fewer pairs to sort
+GPU_TILE = (ACROSS * CELL, DOWN * CELL)  # [px]
+BATCH = 512  # splats in shared memory at a time; a power of two
+QUAD = 4 * BATCH  # words of shared memory between quads of a splat: its first four numbers, the next, the last two
+CELL_BITS = 2 * QUAD + 2  # first of the words that say which of 32 splats touch a cell
+INDEX = 2 * QUAD + 3  # word with the index of a splat's Gaussian, for gradients
 PIXELS = 2  # of a column, per thread: a cell is one warp
 ROW_STEP = 32 // CELL  # [px] between a thread's pixels
 BLEND_THREADS = 32 * ACROSS * DOWN  # of a block
+
+
+@ti.func
+def exp2(x: ti.f32) -> ti.f32:
+    """2^x for -CUTOFF_BITS <= x <= 0.01, relative error 4e-6; undefined outside.
+
+    (2^(x/16))^16 with a polynomial for the inner part: products only, which a CPU vectorises, and half as many
+    instructions as the library's function on CUDA.
+    """
+    y = 0.0009379154316623323 + x * (1.3388277327798619e-05 + x * 1.2325647990480442e-07)
+    y = 0.9999999187056234 + x * (0.04332121602645622 + x * y)
+    y *= y
+    y *= y
+    y *= y
+    return y * y
+
+
+@ti.func
+def tile_origin(projection: ti.template(), in_view: ti.i32, size: ti.template()):
+    """First column and row [px] of a tile of a view; `size`: (width, height) of a tile."""
+    columns = projection.grid[None][2]
+    return in_view % columns * size[0], in_view // columns * size[1]
+
+
+@ti.func
+def pixel_of(x0, y0, cell, member, across: ti.template()):
+    """Column and row [px] of a pixel of a cell, in a tile that begins at (x0, y0) and is `across` cells wide."""
+    return x0 + cell % across * CELL + member % CELL, y0 + cell // across * CELL + member // CELL
+
+
+@ti.func
+def covered_rows(y, half_height, top, bottom):
+    """First and last row of a CPU tile, within top..bottom, that a splat's box meets; y: of its centre [px]."""
+    first = ti.max(top, ti.cast(ti.ceil(ti.max(-y - half_height, 0.0)), ti.i32))
+    last = ti.min(bottom, ti.cast(ti.floor(ti.min(half_height - y, CPU_TILE - 1.0)), ti.i32))
+    return first, last
+
+
+@ti.func
+def load_batch(drawer: ti.template(), shared: ti.template(), v, first, end, lane, threads: ti.template(), x0, y0):
+    """Load the next BATCH of the members first..end-1 of the bins; all threads of a block together, CUDA only."""
+    for load in range((BATCH + threads - 1) // threads):
+        j = load * threads + lane
+        if j < BATCH:  # the same for the whole warp
+            load_member(drawer, shared, v, first + j, j, ti.cast(first + j < end, ti.i32), x0, y0)
+    ti.simt.block.sync()
+
+
+@ti.func
+def lowest_bit(bits: ti.u32) -> ti.i32:
+    """Position of the lowest bit that is set."""
+    return ti.cast(ti.math.popcnt((bits - ti.u32(1)) & ~bits), ti.i32)
+
+
+@ti.func
+def fetched(shared: ti.template(), j, count: ti.template()):
+    """The first `count` numbers of the splat at position j of the batch."""
+    splat = ti.Vector([0.0] * count)
+    for k in ti.static(range(count)):  # in a row and within known bounds: three wide loads
+        splat[k] = shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4]
+    return splat
+
+
+@ti.func
+def load_member(drawer: ti.template(), shared: ti.template(), v, i, j, exists, x0, y0):
+    """Write member `i` of the bins at position `j` of the batch, and its bit to every cell that it touches.
+
+    `drawer.words(v, g, mean2d, conic)` are the numbers of a splat that blending reads, ten at most; with
+    `drawer.keeps_index` the index of its Gaussian follows.
+    """
+    touches = 0  # a bit for each cell
+    if exists != 0:
+        g = value_of(drawer.bins.members[i])
+        mean2d, conic = drawer.projection.mean2d[v, g], drawer.projection.conic[v, g]
+        box = drawer.projection.box[v, g]
+        at, words = 4 * (j & (BATCH - 1)), drawer.words(v, g, mean2d, conic)
+        for k in ti.static(range(10)):
+            shared[QUAD * (k // 4) + at + k % 4] = words[k]
+        if ti.static(drawer.keeps_index):
+            shared[INDEX + 4 * j] = ti.bit_cast(ti.cast(g, ti.i32), ti.f32)
+        for row in ti.static(range(DOWN)):
+            top = y0 + row * CELL + 0.5
+            if mean2d.y - box[1] <= top + (CELL - 1) and mean2d.y + box[1] >= top:
+                left, right = horizontal_extent(top, top + (CELL - 1), mean2d, conic, box)
+                for column in ti.static(range(ACROSS)):
+                    if left <= x0 + column * CELL + CELL - 0.5 and right >= x0 + column * CELL + 0.5:
+                        touches |= 1 << (row * ACROSS + column)
+    all_lanes = ti.u32(0xFFFFFFFF)
+    for cell in ti.static(range(ACROSS * DOWN)):
+        own = (touches >> cell) & 1
+        ones = ti.cast(ti.simt.warp.match_any(all_lanes, own), ti.u32)  # lanes with the same bit
+        if own == 0:
+            ones = ~ones
+        if j % 32 == cell:
+            shared[CELL_BITS + 4 * j] = ti.bit_cast(ones, ti.f32)
 
 
 @ti.data_oriented
@@ -44,7 +138,7 @@ class Blend:
         self.bins, self.projection, self.segments = bins, bins.projection, segments
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth = with_color, with_depth
-        self.on_gpu = ti.cfg.arch == ti.cuda
+        self.on_gpu, self.keeps_index = ti.cfg.arch == ti.cuda, False
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):
@@ -89,10 +183,8 @@ class Blend:
                 mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
                 color = splat_color(self, v, g)
                 A, B, C = conic[0], 2 * conic[1], conic[2]
-                half_height = self.projection.box[v, g][1]
                 dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
-                first = ti.max(top, ti.cast(ti.ceil(ti.max(-dy0 - half_height, 0.0)), ti.i32))
-                last = ti.min(bottom, ti.cast(ti.floor(ti.min(half_height - dy0, CPU_TILE - 1.0)), ti.i32))
+                first, last = covered_rows(dy0, self.projection.box[v, g][1], top, bottom)
                 for row in range(first, last + 1):
                     dy = dy0 + row
                     base, tilt = mean2d.z - C * dy * dy, B * dy
@@ -135,7 +227,7 @@ class Blend:
             v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
             x0, y0 = tile_origin(self.projection, in_view, GPU_TILE)
             cell, member = lane // 32, lane % 32
-            x, y = x0 + cell % ACROSS * CELL + member % CELL, y0 + cell // ACROSS * CELL + member // CELL
+            x, y = pixel_of(x0, y0, cell, member, ACROSS)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
             T, depth = ti.Vector([1.0] * PIXELS), ti.Vector([0.0] * PIXELS)
             limit = ti.Vector([MIN_TRANSMITTANCE] * PIXELS)  # T must stay above it to go on; no T is above 1
@@ -149,20 +241,12 @@ class Blend:
                 if ti.simt.block.sync_all_nonzero(ti.cast(limit.min() == 1.0, ti.i32)) != 0:
                     break
                 first = begin + batch * BATCH
-                for load in range((BATCH + BLEND_THREADS - 1) // BLEND_THREADS):
-                    j = load * BLEND_THREADS + lane
-                    if j < BATCH:  # the same for the whole warp
-                        load_member(self, shared, v, first + j, j, ti.cast(first + j < end, ti.i32), x0, y0)
-                ti.simt.block.sync()
+                load_batch(self, shared, v, first, end, lane, BLEND_THREADS, x0, y0)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     while (bits != ti.u32(0)) & (limit.min() < 1.0):
-                        less = bits - ti.u32(1)
-                        j = group * 32 + ti.cast(ti.math.popcnt(less & ~bits), ti.i32)
-                        bits &= less
-                        splat = ti.Vector([0.0] * 12)
-                        for k in ti.static(range(12)):  # in a row and within known bounds: three wide loads
-                            splat[k] = shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4]
+                        splat = fetched(shared, group * 32 + lowest_bit(bits), 12)
+                        bits &= bits - ti.u32(1)
                         dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
                         tilt, base = splat[5] * dx, splat[2] - splat[4] * dx * dx
                         for p in ti.static(range(PIXELS)):  # without branches: most splats of a cell touch some pixel

@@ -1,35 +1,47 @@
 """Backward pass of blending: gradients of the splats in a picture from the gradient of its pixels."""
 
+import math
+
 import taichi as ti
 
 from core.fields import FieldGroup
 from render.binning import TileBins
-from render.blend import BLEND_THREADS, PIXELS, ROW_STEP, splat_color, splat_words, unfinished_rows
-from render.footprint import CUTOFF_BITS
-from render.per_pixel_gradients import LN2, add_by_pixel
-from render.per_pixel_sort import BUFFER_SIZE
-from render.radix_sort import value_of
-from render.tile_batch import (
+from render.blend import (
     ACROSS,
     ALPHA_MAX,
     BATCH,
+    BLEND_THREADS,
     CELL,
     CELL_BITS,
     CHECK_INTERVAL,
     CPU_TILE,
     GPU_TILE,
     MIN_TRANSMITTANCE,
+    PIXELS,
     QUAD,
+    ROW_STEP,
+    covered_rows,
     exp2,
-    load_member,
+    fetched,
+    filled,
+    load_batch,
+    lowest_bit,
+    pixel_of,
+    splat_color,
+    splat_words,
     tile_origin,
+    unfinished_rows,
 )
+from render.footprint import CUTOFF_BITS
+from render.per_pixel_sort import BUFFER_SIZE, EMPTY_INV_DEPTH, PIXEL_THREADS, pushed
+from render.radix_sort import value_of
 
+LN2 = math.log(2.0)
+BEHIND_ALL = 0.0  # [1/m] of empty splats that follow the last one: they drain the buffer
 CPU_PIXELS = CPU_TILE * CPU_TILE  # pixels of a CPU block
 MIN_ALPHA = 1e-10  # least opacity by which a pixel's depth is divided, as in the picture
 SUMS = 10  # accumulated numbers per Gaussian
 GEOMETRY = 7  # of them, the first, which `into` shares
-INDEX = 2 * QUAD + 3  # word of shared memory with the index of a splat's Gaussian
 
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 
@@ -56,7 +68,7 @@ class BlendGradients:
 
     The sum behind i is that of the whole pixel, known from the picture, minus the sum up to i: so splats are traversed
     front to back as in the forward pass, and each pixel stops where it stopped there. Pixels that have an order
-    of their own (sort="pixel", with a buffer of `buffer_size` splats) walk by themselves (per_pixel_gradients.py).
+    of their own (sort="pixel", with a buffer of `buffer_size` splats) are walked one by one.
 
     `sums` (capacity, SUMS) accumulate over pixels, with d their offset [px] from the splat's centre and p the
     derivative with respect to the exponent: p, p d_x, p d_y, p d_x^2, p d_x d_y, p d_y^2, then dL/dz, dL/dcolour.
@@ -69,7 +81,7 @@ class BlendGradients:
         self.bins, self.projection, self.picture = bins, bins.projection, picture
         self.color, self.other_color, self.adds = color, color is not None, into is not None
         self.with_geometry = with_geometry
-        self.with_depth, self.on_gpu = with_depth, ti.cfg.arch == ti.cuda
+        self.with_depth, self.on_gpu, self.keeps_index = with_depth, ti.cfg.arch == ti.cuda, True
         self.by_pixel, self.buffer_size = self.projection.with_slope, buffer_size
         if self.projection.views != 1:
             raise ValueError("gradients are those of one view")
@@ -117,7 +129,7 @@ class BlendGradients:
         Outermost level of a kernel that has no other shared arrays.
         """
         if ti.static(self.by_pixel):
-            add_by_pixel(self, self.buffer_size)
+            self._backward_by_pixel()
         elif ti.static(self.on_gpu):
             self._backward_gpu()
         else:
@@ -161,11 +173,9 @@ class BlendGradients:
         for i in range(begin, end):
             g = value_of(self.bins.members[i])
             mean2d, conic, color = self.projection.mean2d[0, g], self.projection.conic[0, g], splat_color(self, 0, g)
-            half_height = self.projection.box[0, g][1]
             A, B, C = conic[0], conic[1], conic[2]
             dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
-            first = ti.max(top, ti.cast(ti.ceil(ti.max(-dy0 - half_height, 0.0)), ti.i32))
-            last = ti.min(bottom, ti.cast(ti.floor(ti.min(half_height - dy0, CPU_TILE - 1.0)), ti.i32))
+            first, last = covered_rows(dy0, self.projection.box[0, g][1], top, bottom)
             sums = ti.Vector([0.0] * SUMS)
             for row in range(first, last + 1):
                 dy = dy0 + row
@@ -218,7 +228,7 @@ class BlendGradients:
             width, height = self.projection.grid[None][0], self.projection.grid[None][1]
             x0, y0 = tile_origin(self.projection, tile, GPU_TILE)
             cell, member = lane // 32, lane % 32
-            x, y = x0 + cell % ACROSS * CELL + member % CELL, y0 + cell // ACROSS * CELL + member // CELL
+            x, y = pixel_of(x0, y0, cell, member, ACROSS)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
             all_lanes = ti.u32(0xFFFFFFFF)
             T, behind = ti.Vector([1.0] * PIXELS), ti.Vector([0.0] * PIXELS)
@@ -239,27 +249,15 @@ class BlendGradients:
                 if ti.simt.block.sync_all_nonzero(ti.cast(limit.min() == 1.0, ti.i32)) != 0:
                     break
                 first = begin + batch * BATCH
-                for load in range((BATCH + BLEND_THREADS - 1) // BLEND_THREADS):
-                    j = load * BLEND_THREADS + lane
-                    if j < BATCH:  # the same for the whole warp
-                        exists = ti.cast(first + j < end, ti.i32)
-                        load_member(self, shared, 0, first + j, j, exists, x0, y0)
-                        if exists != 0:
-                            g = ti.cast(value_of(self.bins.members[first + j]), ti.i32)
-                            shared[INDEX + 4 * j] = ti.bit_cast(g, ti.f32)
-                ti.simt.block.sync()
+                load_batch(self, shared, 0, first, end, lane, BLEND_THREADS, x0, y0)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     # a warp goes through its splats together: all lanes add up what a splat gets from its cell
                     if ti.simt.warp.any_nonzero(all_lanes, ti.cast(limit.min() < 1.0, ti.i32)) == 0:
                         bits = ti.u32(0)
                     while bits != ti.u32(0):
-                        less = bits - ti.u32(1)
-                        j = group * 32 + ti.cast(ti.math.popcnt(less & ~bits), ti.i32)
-                        bits &= less
-                        splat = ti.Vector([0.0] * 12)
-                        for k in ti.static(range(12)):  # in a row and within known bounds: three wide loads
-                            splat[k] = shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4]
+                        splat = fetched(shared, group * 32 + lowest_bit(bits), 12)
+                        bits &= bits - ti.u32(1)
                         sums = ti.Vector([0.0] * SUMS)
                         touched = 0
                         dx, dy0 = x + 0.5 - splat[0], y + 0.5 - splat[1]
@@ -305,15 +303,75 @@ class BlendGradients:
                                     self.sums[g, place] += total
 
     @ti.func
+    def _backward_by_pixel(self):
+        """Backward pass of blending in each pixel's own order (render/per_pixel_sort.py).
+
+        Each pixel is traversed as in `PerPixelSort`, with the same buffer: the splat that leaves the buffer is the next
+        one from front to back. The order itself has no gradient. A splat that leaves is fetched again, since its offset
+        from the pixel is not in the buffer.
+        """
+        buffer_size = ti.static(self.buffer_size)
+        tile_width, tile_height = ti.static(self.projection.tile[0], self.projection.tile[1])
+        pixels = ti.static(tile_width * tile_height)
+        ti.loop_config(block_dim=PIXEL_THREADS)
+        for thread in range(self.bins.tiles_per_view() * pixels):
+            tile, lane = thread // pixels, thread % pixels
+            x0, y0 = tile_origin(self.projection, tile, self.projection.tile)
+            cell, member = lane // (CELL * CELL), lane % (CELL * CELL)
+            x, y = pixel_of(x0, y0, cell, member, ti.static(tile_width // CELL))
+            begin, end = self.bins.begin[tile], self.bins.end[tile]
+            if x < self.projection.grid[None][0] and y < self.projection.grid[None][1] and begin < end:
+                d_c, d_sum, d_alpha_sum, behind = self.pixel(y, x)
+                T = 1.0
+                inv_depths, alphas = ti.Vector([EMPTY_INV_DEPTH] * buffer_size), ti.Vector([0.0] * buffer_size)
+                indices = ti.Vector([0] * buffer_size)
+                for i in range(begin, end + buffer_size):
+                    touches, g, alpha, inv_depth = True, 0, 0.0, BEHIND_ALL
+                    if i < end:
+                        g = value_of(self.bins.members[i])
+                        mean2d, conic = self.projection.mean2d[0, g], self.projection.conic[0, g]
+                        dx, dy = x + 0.5 - mean2d.x, y + 0.5 - mean2d.y
+                        power = mean2d.z - conic[2] * dy * dy - dx * (conic[0] * dx + 2 * conic[1] * dy)
+                        touches = power >= -CUTOFF_BITS
+                        if touches:
+                            alpha = ti.min(ALPHA_MAX, exp2(power))
+                            slope_x, slope_y = self.projection.box[0, g][3], self.projection.color[0, g][3]
+                            inv_depth = 1.0 / mean2d.w + slope_y * dy + slope_x * dx
+                    if touches:
+                        front_alpha, front = pushed(inv_depths, alphas, indices, inv_depth, alpha, g)
+                        after = T * (1.0 - front_alpha)
+                        if after <= MIN_TRANSMITTANCE:
+                            break
+                        if front_alpha > 0.0:
+                            behind = self._add(x, y, front, front_alpha, T, d_c, d_sum, d_alpha_sum, behind)
+                            T = after
+
+    @ti.func
+    def _add(self, x, y, g, alpha, T, d_c, d_sum, d_alpha_sum, behind) -> ti.f32:
+        """Add a pixel's gradients of splat g; the sum behind it."""
+        mean2d = self.projection.mean2d[0, g]
+        dx, dy = x + 0.5 - mean2d.x, y + 0.5 - mean2d.y
+        weight, value = alpha * T, d_c.dot(splat_color(self, 0, g))
+        if ti.static(self.with_depth):
+            value += d_sum * mean2d.w + d_alpha_sum
+            self.geometry[g, 6] += weight * d_sum
+        left = behind - weight * value
+        if alpha < ALPHA_MAX:
+            p = LN2 * alpha * (T * value - left / (1.0 - alpha))
+            self.geometry[g, 0] += p
+            self.geometry[g, 1] += p * dx
+            self.geometry[g, 2] += p * dy
+            self.geometry[g, 3] += p * dx * dx
+            self.geometry[g, 4] += p * dx * dy
+            self.geometry[g, 5] += p * dy * dy
+        for k in ti.static(range(3)):
+            self.sums[g, 7 + k] += weight * d_c[k]
+        return left
+
+    @ti.func
     def words(self, v, g, mean2d, conic):
         """Numbers of a splat in shared memory."""
         return splat_words(mean2d, conic, splat_color(self, v, g))
-
-
-@ti.func
-def filled(value: ti.f32):
-    """A value for each pixel of a CPU block."""
-    return ti.Vector([value] * CPU_PIXELS)
 
 
 @ti.func

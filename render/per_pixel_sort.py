@@ -8,10 +8,7 @@ order by fewer places than the buffer has are put right.             Radl 2024 (
 import taichi as ti
 
 from render.binning import TileBins
-from render.blend import splat_color
-from render.footprint import CUTOFF_BITS
-from render.radix_sort import value_of
-from render.tile_batch import (
+from render.blend import (
     ACROSS,
     ALPHA_MAX,
     BATCH,
@@ -23,9 +20,15 @@ from render.tile_batch import (
     MIN_TRANSMITTANCE,
     QUAD,
     exp2,
-    load_member,
+    fetched,
+    load_batch,
+    lowest_bit,
+    pixel_of,
+    splat_color,
     tile_origin,
 )
+from render.footprint import CUTOFF_BITS
+from render.radix_sort import value_of
 
 BUFFER_SIZE = 16  # splats; 8 leave twice the error in four fifths of the time (bench/NOTES.md)
 OVERTAKE_RATIO = 1.0 + 1e-4  # a splat overtakes if nearer by this factor: coplanar ones keep their order under rounding
@@ -48,7 +51,7 @@ class PerPixelSort:
         self.bins, self.projection = bins, bins.projection
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth, self.buffer_size = with_color, with_depth, buffer_size
-        self.on_gpu = ti.cfg.arch == ti.cuda
+        self.on_gpu, self.keeps_index = ti.cfg.arch == ti.cuda, False
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):
@@ -162,7 +165,7 @@ class PerPixelSort:
             v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
             x0, y0 = tile_origin(self.projection, in_view, GPU_TILE)
             cell, member = lane // (CELL * CELL), lane % (CELL * CELL)  # a cell is two warps
-            x, y = x0 + cell % ACROSS * CELL + member % CELL, y0 + cell // ACROSS * CELL + member // CELL
+            x, y = pixel_of(x0, y0, cell, member, ACROSS)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
             T, depth, rgb = 1.0, 0.0, ti.math.vec3(0.0)
             inv_depths, alphas = ti.Vector([EMPTY_INV_DEPTH] * self.buffer_size), ti.Vector([0.0] * self.buffer_size)
@@ -176,20 +179,12 @@ class PerPixelSort:
                 if ti.simt.block.sync_all_nonzero(done) != 0:
                     break
                 first = begin + batch * BATCH
-                for load in range((BATCH + PIXEL_THREADS - 1) // PIXEL_THREADS):
-                    j = load * PIXEL_THREADS + lane
-                    if j < BATCH:  # the same for the whole warp
-                        load_member(self, shared, v, first + j, j, ti.cast(first + j < end, ti.i32), x0, y0)
-                ti.simt.block.sync()
+                load_batch(self, shared, v, first, end, lane, PIXEL_THREADS, x0, y0)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     while (bits != ti.u32(0)) & (done == 0):
-                        less = bits - ti.u32(1)
-                        j = group * 32 + ti.cast(ti.math.popcnt(less & ~bits), ti.i32)
-                        bits &= less
-                        splat = ti.Vector([0.0] * 10)
-                        for k in ti.static(range(10)):
-                            splat[k] = shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4]
+                        splat = fetched(shared, group * 32 + lowest_bit(bits), 10)
+                        bits &= bits - ti.u32(1)
                         dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
                         power = splat[2] - dx * (splat[4] * dx + splat[5] * dy) - splat[6] * dy * dy
                         if power >= -CUTOFF_BITS:

@@ -8,13 +8,14 @@ import taichi as ti
 from core.camera import Camera
 from core.fields import FieldGroup
 from render import SORTS
-from render.changed_tiles import ChangedTiles, differ
 from render.footprint import (
     CUTOFF_BITS,
     CUTOFF_SLACK,
     MASK_COLUMNS,
+    ChangedTiles,
     clamp,
     depth_slope,
+    differ,
     meets_picture,
     tile_box,
     tile_columns,

@@ -6,12 +6,11 @@ from core.camera import Camera
 from core.errors import BadInput
 from core.fields import keep_compiled_kernels
 from render.binning import DepthOrder, TileBins
-from render.blend import Blend
-from render.changed_tiles import ChangedTiles
+from render.blend import CPU_TILE, GPU_TILE, Blend
+from render.footprint import ChangedTiles
 from render.per_pixel_sort import BUFFER_SIZE, PerPixelSort
 from render.projection import Projection, camera_values
 from render.splats import Splats
-from render.tile_batch import CPU_TILE, GPU_TILE
 
 PAIRS_PER_GAUSSIAN = 8  # initial capacity per view; scenes were seen to need 3 to 6
 MAX_INITIAL_PAIRS = 1 << 24  # 256 MiB of sort buffers, until more are needed
@@ -52,13 +51,15 @@ class Rasterizer:
     ):
         tile = GPU_TILE if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
         self.splats, self.sink = splats, sink
-        how = {"antialias": antialias, "color": color, "sort": sort}
         self._changed = ChangedTiles() if keeps and ti.cfg.arch != ti.cuda else None
         self._last: tuple | None = None  # range and `out` of the last draw, unless all has changed since
-        self.projection = Projection(splats, width, height, views, tile=tile, still=still, changed=self._changed, **how)
+        self.projection = Projection(
+            splats, width, height, views,
+            tile=tile, antialias=antialias, color=color, sort=sort, still=still, changed=self._changed,
+        )  # fmt: skip
         self._kept = 0  # Gaussians that are projected for the cameras and the size of now
         self.order = DepthOrder(self.projection)
-        self._sums = {"with_color": color, "with_depth": depth}
+        self._with_color, self._with_depth = color, depth
         self._segments = segments
         self._buffer_size = buffer_size if sort == "pixel" else None
         self._cameras: dict[int, list[float]] = {}  # on the device, by view
@@ -112,9 +113,12 @@ class Rasterizer:
     def _tile_pass(self, pairs: int) -> "TilePass":
         capacity = min(MAX_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
         bins = TileBins(self.order, capacity)
+        color, depth = self._with_color, self._with_depth
         if self._buffer_size is None:
-            return TilePass(Blend(bins, **self._sums, segments=self._segments), self.sink)
-        return TilePass(PerPixelSort(bins, **self._sums, buffer_size=self._buffer_size), self.sink)
+            blend = Blend(bins, with_color=color, with_depth=depth, segments=self._segments)
+        else:
+            blend = PerPixelSort(bins, with_color=color, with_depth=depth, buffer_size=self._buffer_size)
+        return TilePass(blend, self.sink)
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""

@@ -3,8 +3,8 @@
 import numpy as np
 
 from assets.gaussians import Gaussians
-from core.box_mesh import box_mesh as box
 from core.tetmesh import boundary_surface, positively_oriented
+from core.tetmesh import box_mesh as box
 
 
 def tet_bar(cells, size):

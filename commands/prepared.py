@@ -85,7 +85,7 @@ def prepared_capture(args: argparse.Namespace) -> None:
 
 def is_animated(splats: Path, rig: Path | None = None) -> bool:
     """True if the body made of these files moves by itself."""
-    from prepare.rig.rig_source import is_skinned
+    from prepare.rig.rigging import is_skinned
 
     return rig is not None or is_skinned(Path(splats))
 

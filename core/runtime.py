@@ -1,4 +1,16 @@
-"""Start of the Taichi runtime: choice of the device, and time to the first kernel."""
+"""The Taichi runtime: choice of the device, time to the first kernel, care of its cache, and cheap kernel methods.
+
+Killed programs or failing disks may have left the cache of compiled kernels damaged.
+Taichi 1.7.4 keeps a file a kernel, whose damage it notices, and an index `ticache.tcb`. It also notices an index that
+is too short, but trusts what is in one: a flipped bit of a length ends the program, and would end each one after it.
+And it never takes up a lock that a killed program has left: from then on every start would compile all kernels anew.
+
+The index: its size [8 bytes], version [3 x 2], size of all kernels [8], number of entries [8]; an entry: length and
+text of the key, twice, size, times of creation and of last use [8 each].
+
+`ti.data_oriented` binds kernels in `__getattribute__`: each access to any attribute of such an object then takes 2.5 us
+instead of 0.03, and a frame of play makes 400, while the device waits. Here they are bound as Python binds any method.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +20,17 @@ import os
 import signal
 import textwrap
 import threading
+import time
 import weakref
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
+
 from core.errors import BadInput
-from core.kernel_cache import mend_kernel_cache
-from core.kernel_methods import bind_kernels_of_all_classes
 
 # Compiled kernels are kept between runs, in files of this many bytes in all. Taichi's default of 100 MB is less than a
 # few scenes and a preparation compile, and kernels that were pushed out are compiled again, for half a minute.
@@ -161,3 +175,89 @@ def is_out_of_memory(error: Exception) -> bool:
     """Test for an exhausted host or GPU memory; Taichi raises a RuntimeError that says so in words."""
     words = ("memory allocation", "out of memory", "out_of_memory", "failed to allocate")
     return isinstance(error, MemoryError) or any(word in str(error).lower() for word in words)
+
+
+INDEX, LOCK = "ticache.tcb", "ticache.lock"
+LOCK_AGE = 10.0  # [s] after which its program was killed: it is held for a fraction of a second
+VERSION = (1, 7, 4)
+HEADER_SIZE, KEY_SIZE = 30, 65
+HEX = np.frombuffer(b"0123456789abcdef", np.uint8)
+ENTRY = np.dtype([("length", "<u8"), ("key", f"S{KEY_SIZE}"), ("length_2", "<u8"), ("key_2", f"S{KEY_SIZE}"),
+                  ("size", "<u8"), ("created", "<u8"), ("used", "<u8")])  # fmt: skip
+
+
+def mend_kernel_cache(folder: Path) -> None:
+    """Remove a lock that nobody holds, and an index that is damaged: kernels are compiled again. Errors are ignored.
+
+    What is younger than LOCK_AGE another program may be writing.
+    """
+    for name in (LOCK, INDEX):
+        with suppress(OSError):
+            old = time.time() - (folder / name).stat().st_mtime > LOCK_AGE
+            if old and (name == LOCK or not is_sound_index((folder / INDEX).read_bytes())):
+                (folder / name).unlink()
+
+
+def is_sound_index(data: bytes) -> bool:
+    """Check an index; those of other versions of Taichi are not judged, and count as sound."""
+    if len(data) < HEADER_SIZE:
+        return False
+    if tuple(np.frombuffer(data, "<u2", 3, 8)) != VERSION:
+        return True
+    size, (count,) = int.from_bytes(data[:8], "little"), np.frombuffer(data, "<u8", 1, HEADER_SIZE - 8)
+    if size != len(data) or HEADER_SIZE + int(count) * ENTRY.itemsize != size:
+        return False
+    entries = np.frombuffer(data, ENTRY, int(count), HEADER_SIZE)
+    lengths = np.concatenate([entries["length"], entries["length_2"]])
+    texts = np.ascontiguousarray(entries["key"]).view(np.uint8).reshape(-1, KEY_SIZE)
+    keys = (texts[:, 0] == ord("T")).all() and np.isin(texts[:, 1:], HEX).all()
+    return bool(keys and (lengths == KEY_SIZE).all() and (entries["key"] == entries["key_2"]).all())
+
+
+class KernelMethod:
+    """Descriptor of a class's kernel: `instance.kernel` is the kernel of that instance."""
+
+    def __init__(self, kernel) -> None:
+        from taichi.lang.kernel_impl import _BoundedDifferentiableMethod
+
+        kernel._is_staticmethod = False
+        self.kernel, self.bound = kernel, _BoundedDifferentiableMethod
+
+    def __get__(self, instance, owner):
+        return self.kernel if instance is None else self.bound(instance, self.kernel)
+
+
+def bind_kernels(cls: type) -> type:
+    """Give a class that `ti.data_oriented` has made its ordinary access to attributes back."""
+    if "__getattribute__" not in vars(cls) or "_data_oriented" not in vars(cls):
+        return cls
+    for name, value in list(vars(cls).items()):
+        if getattr(value, "_is_classkernel", False):
+            setattr(cls, name, KernelMethod(value))
+    del cls.__getattribute__
+    return cls
+
+
+def bind_kernels_of_all_classes() -> None:
+    """Do so with all classes that there are, and with those that come later."""
+    import taichi as ti
+    from taichi.lang import kernel_impl
+
+    decorate = kernel_impl.data_oriented
+    if getattr(decorate, "binds_kernels", False):
+        return
+
+    def data_oriented(cls: type) -> type:
+        return bind_kernels(decorate(cls))
+
+    data_oriented.binds_kernels = True
+    ti.data_oriented = kernel_impl.data_oriented = data_oriented
+    for cls in list(subclasses(object)):
+        bind_kernels(cls)
+
+
+def subclasses(cls: type) -> Iterator[type]:
+    """All classes derived from one."""
+    for sub in type.__subclasses__(cls):
+        yield sub
+        yield from subclasses(sub)

@@ -31,9 +31,8 @@ from prepare.cage.component_cages import (
     joined_cage,
     surface_mask,
 )
-from prepare.cage.device_locator import fraction_inside
+from prepare.cage.embedding_hosts import fraction_inside
 from prepare.cage.filling import DENSE, density_of, solid_cells
-from prepare.cage.flap import flap_of
 from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, volume_of
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
@@ -41,6 +40,7 @@ from prepare.cleaning import clean, clean_components
 from prepare.orientation.body_front import FRONT_SURE, front_of, turned_about_up
 from prepare.own_weight import suitable_material
 from prepare.progress import Progress, no_progress
+from prepare.standing import flap_of
 
 VERSION = 9  # of the pipeline's results; raise it when the same splat would give another asset
 

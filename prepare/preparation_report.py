@@ -14,26 +14,26 @@ from scipy.spatial import cKDTree
 from assets.asset import Asset
 from core.tetmesh import enclosed_volume, face_components, tet_volumes
 from prepare.cage.component_cages import OPAQUE
-from prepare.cage.device_locator import DeviceLocator
-from prepare.cage.isosurface import (
+from prepare.cage.embedding_hosts import DeviceLocator
+from prepare.cage.level_set import (
+    ComponentSolid,
     areas,
     distance_statistics,
     distance_to_surface,
     marching_cubes,
     surface_samples,
 )
-from prepare.cage.level_set import ComponentSolid
 from prepare.cage.mesh_quality import (
     dihedral_angles,
     euler_characteristic,
     non_manifold_vertices,
 )
-from prepare.mesh_drawing import png_of
 from prepare.report_pictures import (
     cage_picture,
     camera_for,
     cells_picture,
     enclosure_picture,
+    png_of,
     splat_picture,
     surface_picture,
 )

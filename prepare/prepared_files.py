@@ -21,13 +21,12 @@ from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
 from prepare.environment.clear_view import CLEAR
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions
-from prepare.mesh_drawing import png_of
 from prepare.orientation.orientation_strip import orientation_strip, question, strip_name
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.preparation_report import report_names, report_texts
 from prepare.progress import Progress, progress_on
-from prepare.report_pictures import camera_for, splat_picture
-from prepare.rig.rig_source import described, is_skinned, rig_source
+from prepare.report_pictures import camera_for, png_of, splat_picture
+from prepare.rig.rigging import described, is_skinned, rig_source
 from prepare.room_capture.unposed_room import UNPOSED_STEPS, playable_environment
 from prepare.standing import stood_up
 

@@ -7,9 +7,9 @@ import contextlib
 import numpy as np
 
 from assets.asset import Asset, Cage
-from core.box_mesh import box_mesh
 from core.distance_grid import DistanceGrid
 from core.material import Material
+from core.tetmesh import box_mesh
 from studio.detail import Detail
 from studio.finish import (
     all_directions,
@@ -95,7 +95,7 @@ def solid_grid(solid: Solid, low, high, vertices: int) -> DistanceGrid:
 
 def solid_mesh(grid: DistanceGrid) -> Mesh:
     """Surface of a solid."""
-    from prepare.cage.isosurface import marching_cubes
+    from prepare.cage.level_set import marching_cubes
 
     return Mesh(*marching_cubes(grid))
 

@@ -43,7 +43,7 @@ def creature_surfaces(creature: Creature, nodes: int) -> list[tuple[Surface, np.
 
 def _mesh(distance, low, high, nodes: int) -> Mesh | None:
     """The surface of a distance field within a box; None where a part is thinner than the grid."""
-    from prepare.cage.isosurface import marching_cubes
+    from prepare.cage.level_set import marching_cubes
 
     low, high = np.asarray(low, float) - MARGIN, np.asarray(high, float) + MARGIN
     spacing = float((high - low).max()) / (nodes - 1)

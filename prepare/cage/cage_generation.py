@@ -12,7 +12,7 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.point_location import TetLocator
 from core.tetmesh import tet_volumes
-from prepare.cage.device_locator import DeviceLocator
+from prepare.cage.embedding_hosts import DeviceLocator
 from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.cage.relaxation import DESCENT_STEPS, Descent, relax

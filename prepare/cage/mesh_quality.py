@@ -1,12 +1,208 @@
-"""Quality of a tetrahedral mesh: dihedral angles, and where the surface is no closed manifold."""
+"""Quality of a tetrahedral mesh: dihedral angles, where its surface is no manifold, and an energy to be minimised.
 
-from __future__ import annotations
+The energy takes stiffness and shape of all tets as one number; its gradient moves the vertices (relaxation.py):
+
+    E = sum_t (kappa_t W^(2/3) / unit)^p + (SHAPE q_t)^p
+    kappa_t = 1 / 9 sum_a A_a^2 / (V_t m_a),  m_a = sum of V / 4 around a,  q_t = (sum of squared edges)^1.5 / V_t
+
+with the area A_a of the face opposite corner a, the cage's volume W, and q = 1 for a regular tet. The longest stable
+substep falls with the largest kappa (sim/time_step.py); the factor W makes E scale-invariant, so
+that growing does not lower it. Vertices gather what tets contribute in a fixed order, so that the same cage gives the
+same bits.
+"""
 
 import numpy as np
+import taichi as ti
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from core.tetmesh import TET_EDGES, cross_columns, edge_vectors, vertex_set_keys
+from core.tetmesh import TET_EDGES, TET_FACES, cross_columns, edge_vectors, vertex_set_keys
+
+POWER = 8  # high enough for the worst tets to dominate, low enough for their neighbours to follow
+SHAPE = 2.0  # a tet this many times worse in shape than a regular one counts as much as one of median kappa
+PARTIAL_SUMS = 64  # a sum over all tets is made of this many partial sums, each in a fixed order
+REGULAR = 6**1.5 * 6 * 2**0.5  # (sum of squared edges)^1.5 / V of a regular tet
+FACES = tuple(map(tuple, TET_FACES.tolist()))
+
+Vector = ti.types.ndarray(dtype=ti.f64, ndim=1)
+Matrix = ti.types.ndarray(dtype=ti.f64, ndim=2)
+Indices = ti.types.ndarray(dtype=ti.i32, ndim=1)
+Tets = ti.types.ndarray(dtype=ti.i32, ndim=2)
+
+
+@ti.func
+def corner(x: ti.template(), tets: ti.template(), t, k: ti.template()):
+    """Position of corner k of tet t."""
+    v = tets[t, k]
+    return ti.Vector([x[v, 0], x[v, 1], x[v, 2]], ti.f64)
+
+
+@ti.func
+def face_normals(c: ti.template()):
+    """Outward normals of the faces of a tet with corners c, twice the areas long."""
+    return [(c[f[1]] - c[f[0]]).cross(c[f[2]] - c[f[0]]) for f in ti.static(FACES)]
+
+
+@ti.kernel
+def _volumes(
+    x: Matrix, tets: Tets, first: Indices, slot: Indices, volume: Vector, mass: Vector, part: Matrix, sums: Vector
+):
+    """Volumes of tets and vertices (m_a). Out: sums[0] = least volume, sums[1] = W."""
+    for t in volume:
+        c = [corner(x, tets, t, k) for k in ti.static(range(4))]
+        volume[t] = (c[1] - c[0]).dot((c[2] - c[0]).cross(c[3] - c[0])) / 6
+    for b in range(PARTIAL_SUMS):
+        least, total = volume[0], ti.cast(0.0, ti.f64)
+        for t in range(b * volume.shape[0] // PARTIAL_SUMS, (b + 1) * volume.shape[0] // PARTIAL_SUMS):
+            least = ti.min(least, volume[t])
+            total += volume[t]
+        part[b, 0], part[b, 1] = least, total
+    for _ in range(1):
+        least, total = part[0, 0], ti.cast(0.0, ti.f64)
+        for b in range(PARTIAL_SUMS):
+            least = ti.min(least, part[b, 0])
+            total += part[b, 1]
+        sums[0], sums[1] = least, total
+    for v in mass:
+        total = ti.cast(0.0, ti.f64)
+        for s in range(first[v], first[v + 1]):
+            total += volume[slot[s] // 4]
+        mass[v] = total / 4
+
+
+@ti.kernel
+def _terms(
+    x: Matrix, tets: Tets, unit: ti.f64, shape: ti.f64, power: ti.f64, volume: Vector, mass: Vector, part: Matrix,
+    sums: Vector, kappa: Vector, stiffness: Vector, distortion: Vector,
+):  # fmt: skip
+    """Both terms of E of each tet, and kappa_t W^(2/3). Out: sums[2], sums[3] = their totals.
+
+    shape = SHAPE / REGULAR; power = 2 / 3: as arguments, because literals would be float32
+    """
+    for t in volume:
+        common = sums[1] ** power / 9 / volume[t]
+        c = [corner(x, tets, t, k) for k in ti.static(range(4))]
+        n = face_normals(c)
+        total, square = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        mean = (c[0] + c[1] + c[2] + c[3]) / 4
+        for a in ti.static(range(4)):
+            total += common * n[a].norm_sqr() / (4 * mass[tets[t, a]])
+            square += 4 * (c[a] - mean).norm_sqr()
+        kappa[t] = total
+        stiffness[t] = (total / unit) ** POWER
+        distortion[t] = (shape * square * ti.sqrt(square) / volume[t]) ** POWER
+    for b in range(PARTIAL_SUMS):
+        one, other = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        for t in range(b * volume.shape[0] // PARTIAL_SUMS, (b + 1) * volume.shape[0] // PARTIAL_SUMS):
+            one += stiffness[t]
+            other += distortion[t]
+        part[b, 0], part[b, 1] = one, other
+    for _ in range(1):
+        one, other = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        for b in range(PARTIAL_SUMS):
+            one += part[b, 0]
+            other += part[b, 1]
+        sums[2], sums[3] = one, other
+
+
+@ti.kernel
+def _gradient(
+    x: Matrix, tets: Tets, first: Indices, slot: Indices, power: ti.f64, volume: Vector, mass: Vector, sums: Vector,
+    kappa: Vector, stiffness: Vector, distortion: Vector, by_mass: Matrix, mass_gradient: Vector,
+    corner_gradient: Matrix, gradient: Matrix,
+):  # fmt: skip
+    """Chain rule through volumes, vertex masses, face normals and edges. Out: gradient = dE / dx, (V, 3)."""
+    for t in volume:
+        common = sums[1] ** power / 9 / volume[t]
+        c = [corner(x, tets, t, k) for k in ti.static(range(4))]
+        n = face_normals(c)
+        for a in ti.static(range(4)):
+            m = mass[tets[t, a]]
+            by_mass[t, a] = -POWER * stiffness[t] / kappa[t] * common * n[a].norm_sqr() / (4 * m * m)
+    for v in mass_gradient:
+        total = ti.cast(0.0, ti.f64)
+        for s in range(first[v], first[v + 1]):
+            total += by_mass[slot[s] // 4, slot[s] % 4]
+        mass_gradient[v] = total
+    for t in volume:
+        common = sums[1] ** power / 9 / volume[t]
+        c = [corner(x, tets, t, k) for k in ti.static(range(4))]
+        n = face_normals(c)
+        by_volume = POWER * sums[2] * power / sums[1] - POWER * (stiffness[t] + distortion[t]) / volume[t]
+        mean, square = (c[0] + c[1] + c[2] + c[3]) / 4, ti.cast(0.0, ti.f64)
+        for a in ti.static(range(4)):
+            by_volume += mass_gradient[tets[t, a]] / 4
+            square += 4 * (c[a] - mean).norm_sqr()
+        out = [12 * POWER * distortion[t] / square * (c[a] - mean) - by_volume / 6 * n[a] for a in ti.static(range(4))]
+        for a in ti.static(range(4)):
+            h = POWER * stiffness[t] / kappa[t] * common / (2 * mass[tets[t, a]]) * n[a]  # dE / dnormal_a
+            p, q, r = ti.static(FACES[a])
+            out[p] += h.cross(c[r] - c[q])
+            out[q] += h.cross(c[p] - c[r])
+            out[r] += h.cross(c[q] - c[p])
+        for a in ti.static(range(4)):
+            for d in ti.static(range(3)):
+                corner_gradient[t, 3 * a + d] = out[a][d]
+    for v in range(gradient.shape[0]):
+        total = ti.Vector([0.0, 0.0, 0.0], ti.f64)
+        for s in range(first[v], first[v + 1]):
+            t, k = slot[s] // 4, slot[s] % 4
+            total += ti.Vector(
+                [corner_gradient[t, 3 * k], corner_gradient[t, 3 * k + 1], corner_gradient[t, 3 * k + 2]], ti.f64
+            )
+        for d in ti.static(range(3)):
+            gradient[v, d] = total[d]
+
+
+class QualityEnergy:
+    """E of `count` vertices and given tets (T, 4). Taichi must be running.
+
+    volume  signed volume of each tet at the last evaluation, (T,) on the device
+    kappa   kappa_t W^(2/3) of each tet there, (T,) on the device
+    """
+
+    def __init__(self, tets: np.ndarray, count: int) -> None:
+        flat = np.asarray(tets, np.int64).ravel()
+        self.count, n = count, len(tets)
+        self._tets = device_array(ti.i32, tets)
+        self._slot = device_array(ti.i32, np.sort(flat * len(flat) + np.arange(len(flat))) % len(flat))
+        self._first = device_array(ti.i32, np.concatenate([[0], np.bincount(flat, minlength=count).cumsum()]))
+        self.volume, self.kappa, self._stiffness, self._distortion = (ti.ndarray(ti.f64, n) for _ in range(4))
+        self._by_mass, self._corner_gradient = ti.ndarray(ti.f64, (n, 4)), ti.ndarray(ti.f64, (n, 12))
+        self._mass, self._mass_gradient = ti.ndarray(ti.f64, count), ti.ndarray(ti.f64, count)
+        self._part, self._sums = ti.ndarray(ti.f64, (PARTIAL_SUMS, 2)), ti.ndarray(ti.f64, 4)
+
+    def vectors(self, x: np.ndarray | None = None) -> ti.Ndarray:
+        """A device array (V, 3): of x, or uninitialised."""
+        return ti.ndarray(ti.f64, (self.count, 3)) if x is None else device_array(ti.f64, x)
+
+    def energy(self, x: ti.Ndarray, gradient: ti.Ndarray, unit: float) -> float:
+        """E at x (V, 3), infinite if a tet is inverted. Out: gradient (V, 3), undefined where E is infinite."""
+        mesh, numbers = (x, self._tets), (self._first, self._slot)
+        _volumes(*mesh, *numbers, self.volume, self._mass, self._part, self._sums)
+        if not self._sums.to_numpy()[0] > 0:
+            return np.inf
+        terms = self.kappa, self._stiffness, self._distortion
+        _terms(*mesh, unit, SHAPE / REGULAR, 2 / 3, self.volume, self._mass, self._part, self._sums, *terms)
+        _gradient(
+            *mesh, *numbers, 2 / 3, self.volume, self._mass, self._sums, *terms, self._by_mass, self._mass_gradient,
+            self._corner_gradient, gradient,
+        )  # fmt: skip
+        return float(self._sums.to_numpy()[2:].sum())
+
+    def at(self, x: np.ndarray, unit: float = 1.0):
+        """E at x (V, 3), infinite if a tet is inverted; its gradient (V, 3); and kappa_t W^(2/3) (T,)."""
+        gradient = self.vectors()
+        energy = self.energy(self.vectors(x), gradient, unit)
+        return (energy, gradient.to_numpy(), self.kappa.to_numpy()) if energy < np.inf else (energy, None, None)
+
+
+def device_array(dtype, values: np.ndarray) -> ti.Ndarray:
+    """A copy of host values on the device, of type ti.i32 or ti.f64."""
+    values = np.ascontiguousarray(values, {ti.i32: np.int32, ti.f64: np.float64}[dtype])
+    array = ti.ndarray(dtype, values.shape)
+    array.from_numpy(values)
+    return array
 
 
 def dihedral_cosines(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:

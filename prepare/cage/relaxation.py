@@ -12,9 +12,8 @@ import taichi as ti
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
 from core.tetmesh import TET_FACES, tet_volumes
-from prepare.cage.isosurface import areas
-from prepare.cage.mesh_quality import smallest_angle
-from prepare.cage.quality_energy import Matrix, QualityEnergy, Vector, device_array
+from prepare.cage.level_set import areas
+from prepare.cage.mesh_quality import Matrix, QualityEnergy, Vector, device_array, smallest_angle
 
 DESCENT_STEPS = 30  # of descent; 20 bring most of the substep, the others better angles
 MAX_TRAVEL = 0.35  # lattice cells a vertex may move by descent

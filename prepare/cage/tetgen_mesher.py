@@ -22,9 +22,8 @@ from core.errors import BadInput
 from core.open3d_package import check_open3d, open3d
 from core.tetmesh import boundary_surface, face_components, positively_oriented, tet_volumes
 from prepare.cage.cage_generation import EXACT_VERTICES, Stuffed, check_count, fault, fitted
-from prepare.cage.device_locator import fraction_inside
-from prepare.cage.isosurface import areas, marching_cubes
-from prepare.cage.level_set import volume_of
+from prepare.cage.embedding_hosts import fraction_inside
+from prepare.cage.level_set import areas, marching_cubes, volume_of
 from prepare.cage.mesh_quality import non_manifold_vertices
 
 WORKER = Path(__file__).with_name("tetgen_worker.py")

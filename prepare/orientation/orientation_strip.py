@@ -11,8 +11,7 @@ from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.up_axis import alternatives, robust_bounds, rotation_to_up
 from core.camera import look_at, perspective
-from prepare.mesh_drawing import PAPER
-from prepare.report_pictures import camera_for, splat_picture
+from prepare.report_pictures import PAPER, camera_for, splat_picture
 
 WIDTH, HEIGHT, FOOT = 240, 220, 34  # [px] of a picture, and of the line under it
 INK = (40, 38, 36)

@@ -21,8 +21,7 @@ from assets.animation import Pose, slerp, world_matrices
 from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
 from core.rotation import conjugate_quaternions, multiply_quaternions
-from prepare.rig.joint_names import ARM, LEG, SIDES, TREE, match_joints
-from prepare.rig.landmarks import Landmarks
+from prepare.rig.landmarks import ARM, LEG, SIDES, TREE, Landmarks, match_joints
 
 BONES = list(TREE)
 PARENTS = np.array([-1 if TREE[n] is None else BONES.index(TREE[n]) for n in BONES])

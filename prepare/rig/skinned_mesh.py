@@ -17,8 +17,7 @@ from core.errors import BadInput
 from core.point_location import TetLocator
 from core.spherical_harmonics import C0
 from core.tetmesh import TET_EDGES, vertex_components
-from prepare.rig.body_segmentation import Joined, Segments
-from prepare.rig.cage_cut import cut
+from prepare.rig.body_segmentation import Joined, Segments, cut
 from prepare.rig.rigging import Skeleton, with_animation, with_provenance
 from prepare.rig.skin_weights import diffuse_weights
 

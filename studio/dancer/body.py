@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prepare.rig.joint_names import SIDES
+from prepare.rig.landmarks import SIDES
 from studio.dancer.skeleton import HEIGHT
 from studio.shapes import Mesh, Surface, grid_mesh, join, smooth_curve, superellipsoid, tube
 from studio.textures import Colour, cloth, fbm, mix, plain, smoothstep, srgb

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from assets.formats.gltf_skin import Rig
-from prepare.rig.joint_names import SIDES
+from prepare.rig.landmarks import SIDES
 from prepare.rig.retargeting import BONES, PARENTS
 from studio.dancer.skeleton import HEIGHT
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prepare.rig.joint_names import SIDES
+from prepare.rig.landmarks import SIDES
 
 HEIGHT = 0.86  # [m]
 # Joints of the left side and the midline in the rest pose, in units of the height; the dancer faces +z.

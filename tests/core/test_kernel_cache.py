@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.kernel_cache import ENTRY, HEADER_SIZE, INDEX, KEY_SIZE, LOCK, LOCK_AGE, is_sound_index, mend_kernel_cache
+from core.runtime import ENTRY, HEADER_SIZE, INDEX, KEY_SIZE, LOCK, LOCK_AGE, is_sound_index, mend_kernel_cache
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from core.kernel_methods import KernelMethod, bind_kernels_of_all_classes
+from core.runtime import KernelMethod, bind_kernels_of_all_classes
 
 
 def test_kernels_are_those_of_their_instance(ti_cpu):

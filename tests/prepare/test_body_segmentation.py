@@ -8,11 +8,9 @@ from assets.gaussians import Gaussians
 from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.tetmesh import boundary_surface
-from prepare.rig.body_segmentation import Segments, Solid, held_by_hands
-from prepare.rig.cage_cut import cut, inner_and_boundary_faces, split_vertices
+from prepare.rig.body_segmentation import Segments, Solid, cut, held_by_hands, inner_and_boundary_faces, split_vertices
 from prepare.rig.landmarks import distance_to_segment
-from prepare.rig.segment_embedding import without_spikes
-from prepare.rig.skin_weights import diffuse_weights, isolated_patches, largest_influences
+from prepare.rig.skin_weights import diffuse_weights, isolated_patches, largest_influences, without_spikes
 from tests.support.reference_embedding import embed
 
 

@@ -11,7 +11,7 @@ from core.errors import BadInput
 from core.tetmesh import tet_volumes
 from prepare.cage.cage_generation import cage_of, fault, widened
 from prepare.cage.component_cages import Grid
-from prepare.cage.device_locator import fraction_inside
+from prepare.cage.embedding_hosts import fraction_inside
 from prepare.cage.level_set import level_sets, volume_of
 from prepare.cage.mesh_quality import euler_characteristic
 from prepare.cage.sizing_field import ShapeWidths, levels_of

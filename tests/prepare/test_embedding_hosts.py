@@ -7,8 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import random_gaussians, tet_bar
 from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
-from prepare.cage.device_locator import DeviceLocator, fraction_inside
-from prepare.cage.embedding_hosts import embed
+from prepare.cage.embedding_hosts import DeviceLocator, embed, fraction_inside
 from tests.support import reference_embedding
 from tests.support.reference_embedding import CORNERS, MAX_WEIGHT
 

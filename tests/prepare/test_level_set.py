@@ -9,10 +9,17 @@ from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.tetmesh import enclosed_volume
-from prepare.cage.isosurface import areas, distance_to_surface, distance_to_triangles, marching_cubes, surface_samples
-from prepare.cage.level_set import contact_grid, distance_to
+from prepare.cage.level_set import (
+    areas,
+    contact_grid,
+    distance_to,
+    distance_to_surface,
+    distance_to_triangles,
+    marching_cubes,
+    surface_samples,
+)
 from prepare.cage.mesh_quality import euler_characteristic, non_manifold_vertices
-from prepare.mesh_drawing import Canvas, cubes
+from prepare.report_pictures import Canvas, cubes
 from tests.support.distance_shapes import sampled, sphere
 
 CENTRE = np.array([-0.07, -0.01, 0.02])

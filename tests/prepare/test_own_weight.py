@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.box_mesh import box_mesh
 from core.material import MATERIALS
+from core.tetmesh import box_mesh
 from prepare.own_weight import bearing_modulus, described, rounded_up, suitable_material
 
 PLUSH = MATERIALS["plush"]

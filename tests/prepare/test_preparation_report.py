@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from prepare.mesh_drawing import PAPER
 from prepare.pipeline import Options, prepare
 from prepare.preparation_report import examine, histogram, html_of, length, report_names, texts_of
-from prepare.report_pictures import HEIGHT, WIDTH
+from prepare.report_pictures import HEIGHT, PAPER, WIDTH
 from tests.support.shells import ball
 
 

@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.tetmesh import tet_volumes
-from prepare.cage.mesh_quality import dihedral_angles
-from prepare.cage.quality_energy import QualityEnergy
+from prepare.cage.mesh_quality import QualityEnergy, dihedral_angles
 from prepare.cage.relaxation import Descent, lift_slivers, min_angles, relax
 from prepare.cage.stuffing import stuff
 from tests.support.distance_shapes import bumpy, sampled, sphere, torus, uniform_lattice

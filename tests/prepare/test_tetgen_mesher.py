@@ -14,9 +14,8 @@ from core.errors import BadInput
 from core.tetmesh import enclosed_volume
 from prepare.cage.cage_generation import cage_of, fault
 from prepare.cage.component_cages import mesh
-from prepare.cage.device_locator import fraction_inside
-from prepare.cage.isosurface import areas, marching_cubes
-from prepare.cage.level_set import volume_of
+from prepare.cage.embedding_hosts import fraction_inside
+from prepare.cage.level_set import areas, marching_cubes, volume_of
 from prepare.cage.mesh_quality import non_manifold_vertices
 from prepare.cage.tetgen_mesher import MeshFailed, checked_cage, decimated, first_edge, run_tetgen
 from prepare.pipeline import Options, prepare

@@ -14,7 +14,7 @@ from assets.up_axis import guess_up_axis, rotation_to_up
 from core.errors import BadInput
 from display.mark.mark_edit import Mark, MarkEdit, MarkState
 from display.mark.mark_window import FreeView
-from display.window.orbit_camera import OrbitCamera
+from display.window.mouse import OrbitCamera
 from prepare.segment.marks import Marks, ViewMarks, drawn_boxes, drawn_strokes
 from prepare.segment.mask_files import check_name, object_colors
 from prepare.segment.mask_overlay import overlay

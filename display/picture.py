@@ -12,7 +12,7 @@ import numpy as np
 from assets.file_access import PICTURES, atomic_write
 from core.camera import Camera
 from core.errors import BadInput
-from display.window.cuda_gl_interop import CudaTexture, NoInterop
+from display.window.gl_context import CudaTexture, NoInterop
 
 SURFACE_SIDE = 16  # [px] of the part of the picture that is drawn for its depth: a tile
 OPAQUE = 0.5  # of a pixel; fainter ones show no surface
@@ -111,7 +111,7 @@ class PictureTexture:
     """The picture as an OpenGL texture of the current context, drawn to fill a window.
 
     `upload` is the one place where the picture leaves Taichi: on CUDA it stays on the device
-    (display/window/cuda_gl_interop.py), or passes through the host where OpenGL runs elsewhere, which is reported once.
+    (display/window/gl_context.py), or passes through the host where OpenGL runs elsewhere, which is reported once.
     Of several `views`, one below the other, `draw` shows the first.
     """
 

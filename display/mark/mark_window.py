@@ -14,8 +14,8 @@ from core.errors import BadInput, Cancelled
 from display.mark.mark_edit import MarkEdit, MarkState
 from display.picture import PictureTexture, fit
 from display.window.gl_window import GLWindow, has_display
-from display.window.orbit_camera import OrbitCamera
-from display.window.panel.theme import apply_theme
+from display.window.mouse import OrbitCamera
+from display.window.widgets import apply_theme
 
 ORBIT_PER_HEIGHT = np.pi  # [rad] of rotation for a drag over the picture's height
 STEP = 0.06  # fraction of the distance per press of a walking key

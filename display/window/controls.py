@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 
 from core.camera import Camera
-from core.vocabulary import Hand
+from core.vocabulary import BodyState, Hand
 from display import user_commands
 from display.edit.edit_steps import ROOM_STEP, rotation_step
 from display.protocol import WorldView
 from display.user_commands import SIZED, Command, SaveState
 from display.window.key_bindings import bound
-from display.window.mouse_hand import MIN_DEPTH, MouseHand
-from display.window.orbit_camera import OrbitCamera
+from display.window.mouse import MIN_DEPTH, MouseHand, OrbitCamera
 
 ORBIT_PER_HEIGHT = np.pi  # [rad] of turning for a drag over the picture's height
 LOOK_GAIN = 1.5  # head turn against the angle that the cursor passes over
@@ -29,6 +29,8 @@ RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, n
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
 GIZMOS = (None, "move", "turn", "scale")  # in the order of the key
 ROOM_GIZMO = "room"  # rings that turn the whole room
+HOVER_PERIOD = 0.05  # [s] between two looks for the body under the cursor
+HOVER_OPACITY = 0.5  # of the corners around it
 ENDING_DRAGS = (
     user_commands.Reset,
     user_commands.LoadState,
@@ -329,3 +331,30 @@ class Controls:
             speed = max(MIN_WALK_SPEED, WALK_RATE * self.orbit.distance) * (RUN_FACTOR if self._shift else 1.0)
             self.orbit.move(right * speed * dt, up * speed * dt, forward * speed * dt)
         return self.hand.hands(camera, dt if running else 0.0, pace)
+
+
+class Hover:
+    """The body under the cursor, which a press of the button would take.
+
+    It looks for the body when something moves, but not in each frame: a look costs as much as a ray into the world."""
+
+    def __init__(self):
+        self._found: tuple[int | None, float] = (None, 0.0)  # and when [s]
+        self._cursor: tuple[float, float] | None = None  # of the last look
+
+    def under(
+        self, world: WorldView, camera: Camera, cursor: tuple[float, float] | None, *, moving: bool
+    ) -> BodyState | None:
+        """The body under the cursor (u, v) [px of the camera]; a cursor of None takes nothing.
+
+        moving  the camera or anything in view moved
+        """
+        if cursor is None or not world.editable or world.demo:
+            self._found, self._cursor = (None, 0.0), None
+            return None
+        now = perf_counter()
+        if now - self._found[1] > HOVER_PERIOD and (moving or cursor != self._cursor):
+            hit, self._cursor = world.pick(*camera.ray(*cursor)), cursor
+            self._found = (None if hit is None else hit[1], now)
+        bodies, k = world.bodies(), self._found[0]
+        return bodies[k] if k is not None and k < len(bodies) and not bodies[k].held else None

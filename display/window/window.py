@@ -13,25 +13,19 @@ from core.vocabulary import BodyState
 from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
+from display.panel import GIZMO_BUTTON, Panel
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences, read_bookmarks
 from display.protocol import Frame, WorldView
 from display.user_commands import Command, Pause, SingleStep, ViewFiles, last_of
-from display.window import hover
-from display.window.controls import ROOM_GIZMO, Controls
+from display.window.controls import HOVER_OPACITY, ROOM_GIZMO, Controls, Hover
+from display.window.dialogs import LengthDialog, OpenDialog, SceneMenu, UpChoice
 from display.window.gizmo import Gizmo
 from display.window.gl_window import GLWindow
-from display.window.hover import Hover
-from display.window.length_dialog import LengthDialog, measuring_lines
-from display.window.line_overlay import draw_lines
-from display.window.mouse_hand import MouseHand
-from display.window.open_dialog import OpenDialog
-from display.window.orbit_camera import OrbitCamera
-from display.window.panel.first_hint import FirstHint
-from display.window.panel.panel import Panel
-from display.window.panel.theme import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
-from display.window.scene_menu import SceneMenu
-from display.window.up_choice import UpChoice
+from display.window.mouse import MouseHand, OrbitCamera
+from display.window.overlay import FirstHint, draw_lines, measuring_lines
+from display.window.panel_drawer import PanelDrawer
+from display.window.widgets import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
 from scenes.scene import Scene
 
 MAX_STEP = 1 / 20  # [s] of simulation at once
@@ -68,16 +62,13 @@ class Window:
         self._menu, self._open_dialog = SceneMenu(self._surface.gl), OpenDialog(self._preferences)
         self._up_choice, self._length_dialog = UpChoice(self._surface.gl), LengthDialog()
         self._dialog_shown = False
-        self._panel = Panel(title, self._surface.scale)
-        self._panel.body.offers_gizmo = True
+        opened = {k: on is True for k, on in self._preferences.get("panel.sections", {}).items()}
+        self._panel = PanelDrawer(title, self._surface.scale, Panel(gizmo=True), opened)
         self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
         self._hover = Hover()
         self._resolution = WindowResolution()
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._controls.panel = self._preferences.get("panel.open", True)
-        unfolded = self._preferences.get("panel.sections", {})
-        for section in self._panel.sections:
-            section.open = unfolded.get(section.title, section.open) is True
         self._controls.bookmarks = self._bookmarks_of(name)
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
@@ -116,16 +107,14 @@ class Window:
             if value != self._opened.get(key):
                 self._preferences.set(f"window.{key}", value)
         self._preferences.set("panel.open", self._controls.panel)
-        self._preferences.set("panel.sections", {s.title: s.open for s in self._panel.sections if s.title})
+        self._preferences.set("panel.sections", dict(self._panel.opened))
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) [px] of the picture that fits the window now."""
         full = self._surface.frame_size
-        if self._panel.resolution is None:
-            wanted = self._resolution.size(full)
-        else:
-            wanted = (round(side * self._panel.resolution) for side in full)
+        scale = self._panel.panel.scale
+        wanted = self._resolution.size(full) if scale is None else (round(side * scale) for side in full)
         return tuple(max(MIN_SIDE, side) for side in wanted)
 
     def loading(self, text: str, picture=None) -> None:
@@ -209,7 +198,7 @@ class Window:
             self._commands = panel.draw(world, visible=controls.panel) + self._draw_gizmo(world)
             controls.help = panel.help
             self._commands += self._draw_dialogs(world)
-            if panel.body.next_gizmo:
+            if panel.pressed == GIZMO_BUTTON.name:
                 controls.show_next_gizmo()
             if controls.drag == "grab":
                 self._draw_hand()
@@ -329,7 +318,7 @@ class Window:
         if body is not None:
             self._draw_marker(body)
         if under is not None and under is not body:
-            self._draw_marker(under, hover.OPACITY)
+            self._draw_marker(under, HOVER_OPACITY)
 
     def _under_cursor(self, world: WorldView) -> BodyState | None:
         """The body that a press of the button would take."""

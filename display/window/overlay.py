@@ -1,0 +1,184 @@
+"""What ImGui draws over the picture beside the panel: score and messages, the first hint, the card of keys, lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from time import monotonic
+
+import numpy as np
+
+from core.camera import Camera, project, view_depth
+from display.panel import score_and_message
+from display.protocol import Line, WorldView
+from display.window.key_bindings import help_rows
+from display.window.widgets import ACCENT, MARGIN, QUIET, TEXT, TITLE_SIZE, pixels, text_right
+
+DEMONSTRATION = "A demonstration plays. P or Esc ends it, and so does a grip."
+PAUSED = "Paused. Space continues."
+FADE_TIME = 0.8  # [s] of the hint
+HINT_SIZE = 18.0  # [px] of its text in a window of FULL_HEIGHT
+FULL_HEIGHT, MIN_FACTOR = 540.0, 0.65  # [px] of the window; a smaller one has a smaller hint, which hides less of it
+HELP_COLUMN = 320.0  # [px] of the card's two
+NEAR = 1e-3  # [m]: lines nearer than this, or behind the eye, are cut off
+CROSS = 0.02  # of the eye's distance: half the length of a cross at a measured point
+MEASURE_COLOUR = (1.0, 0.78, 0.25)
+TextLine = list[tuple[str, tuple[float, ...]]]  # texts side by side, with their colours
+
+
+def text_box(
+    name: str, lines: Sequence[TextLine], left: float, *, gap: float, bottom: bool = False, opacity: float = 1.0
+) -> None:
+    """Draw lines of text on glass at the upper or lower edge: in the middle, or right of `left` [px] where that covers
+    the middle. `gap` [px] is between texts side by side.
+
+    The size is computed here: a window that ImGui fits to its content is cut off in its first frame, which is the one
+    that stays on the screen while something takes long.
+    """
+    from imgui_bundle import imgui
+
+    style, area, edge = imgui.get_style(), imgui.get_io().display_size, pixels(MARGIN)
+    longest = max(area.x - left - 2 * edge - 2 * style.window_padding.x, pixels(100))
+    extents = [[imgui.calc_text_size(text, False, longest) for text, _ in line] for line in lines]
+    width = min(max(sum(e.x for e in line) + gap * (len(line) - 1) for line in extents), longest)
+    height = sum(max(e.y for e in line) for line in extents) + style.item_spacing.y * (len(lines) - 1)
+    size = (width + 2 * style.window_padding.x + 1, height + 2 * style.window_padding.y)
+    top = area.y - edge - size[1] if bottom else edge
+    imgui.set_next_window_pos((max(0.5 * (area.x - size[0]), left + edge), top))
+    imgui.set_next_window_size(size)
+    flags = imgui.WindowFlags_
+    still = flags.no_decoration | flags.no_inputs | flags.no_saved_settings | flags.no_bring_to_front_on_focus
+    imgui.push_style_var(imgui.StyleVar_.alpha, opacity)
+    imgui.begin(name, None, still | flags.no_nav | flags.no_focus_on_appearing)
+    for line in lines:
+        for k, (text, colour) in enumerate(line):
+            if k:
+                imgui.same_line(0, gap)
+            imgui.push_text_wrap_pos(0.0)
+            imgui.text_colored(colour, text)
+            imgui.pop_text_wrap_pos()
+    imgui.end()
+    imgui.pop_style_var()
+
+
+def lines_of(world: WorldView) -> list[TextLine]:
+    """Lines at the top of the picture, from the score to notices and what is being opened."""
+    score, message = score_and_message(world) if world.editable else ("", "")
+    state = PAUSED if world.paused else DEMONSTRATION if world.demo else ""
+    lines = [[(score, ACCENT), (message, TEXT)], *([(t, ACCENT)] for t in (state, world.notice, world.opening))]
+    return [kept for line in lines if (kept := [(text, colour) for text, colour in line if text])]
+
+
+def draw_score(world: WorldView, left: float) -> None:
+    """Draw the lines at the top, right of `left` [px]."""
+    if lines := lines_of(world):
+        text_box("score", lines, left, gap=pixels(12))
+
+
+def hints(world: WorldView) -> list[tuple[str, str]]:
+    """(what to do, what it does): three things with which everything can be found out."""
+    if not world.editable:
+        return [("drag", "to turn"), ("wheel", "to zoom"), ("F1", "panel")]
+    watch = [] if world.scene.game is None else [("P", "demonstration")]
+    return [("drag", "to grab"), ("F1", "panel"), *watch]
+
+
+class FirstHint:
+    """The hint over the first picture: it stays until the user has begun, `done`, and then fades."""
+
+    def __init__(self):
+        self._faded: float | None = None  # [s], when it will have
+
+    def draw(self, world: WorldView, left: float, *, done: bool) -> None:
+        """Draw it at the bottom, right of `left` [px]; unless it has faded."""
+        from imgui_bundle import imgui
+
+        if done and self._faded is None:
+            self._faded = monotonic() + FADE_TIME
+        opacity = 1.0 if self._faded is None else (self._faded - monotonic()) / FADE_TIME
+        if opacity <= 0.0:
+            return
+        line: TextLine = []
+        for what, does in hints(world):
+            line += [("\u00b7", QUIET)] if line else []
+            line += [(what, ACCENT), (does, TEXT)]
+        factor = min(max(imgui.get_io().display_size.y / pixels(FULL_HEIGHT), MIN_FACTOR), 1.0)
+        imgui.push_font(None, HINT_SIZE * factor)
+        text_box("hint", [line], left, gap=pixels(7) * factor, bottom=True, opacity=opacity)
+        imgui.pop_font()
+
+
+def draw_help(*, bodies: bool) -> bool:
+    """Draw a card with all that mouse and keys do, for a world with bodies or without; True if it was clicked away."""
+    from imgui_bundle import imgui
+
+    area, edge = imgui.get_io().display_size, pixels(MARGIN)
+    width = min(pixels(2 * HELP_COLUMN), area.x - 2 * edge)
+    imgui.set_next_window_pos((0.5 * area.x, 0.5 * area.y), 0, (0.5, 0.5))
+    imgui.set_next_window_size_constraints((width, 0), (width, max(area.y - 2 * edge, 1.0)))
+    flags = imgui.WindowFlags_
+    fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings | flags.no_nav
+    imgui.set_next_window_bg_alpha(0.95)
+    imgui.set_next_window_focus()  # over the panel
+    imgui.begin("help", None, fixed)
+    imgui.push_font(None, TITLE_SIZE)
+    imgui.text("Mouse and keys")
+    imgui.pop_font()
+    imgui.same_line()
+    imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + pixels(4))
+    text_right("H, Esc or a click closes this", QUIET)
+    rows = help_rows(bodies)
+    half = (len(rows) + 1) // 2
+    if imgui.begin_table("keys", 4, imgui.TableFlags_.sizing_stretch_prop):
+        for k in range(4):
+            kind = imgui.TableColumnFlags_.width_stretch if k % 2 else imgui.TableColumnFlags_.width_fixed
+            imgui.table_setup_column(f"{k}", kind)
+        for pair in zip(rows[:half], [*rows[half:], ("", "")], strict=False):
+            imgui.table_next_row()
+            for keys, meaning in pair:
+                imgui.table_next_column()
+                imgui.text(keys)
+                imgui.table_next_column()
+                imgui.text_colored(QUIET, meaning)
+        imgui.end_table()
+    imgui.end()
+    return imgui.is_mouse_clicked(imgui.MouseButton_.left)
+
+
+def visible_part(line: Line, camera: Camera) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Ends [px of the picture] of the part of a line before the camera, None if there is none."""
+    a, b = np.asarray(line.start, np.float64), np.asarray(line.end, np.float64)
+    depth_a, depth_b = view_depth(camera, a), view_depth(camera, b)
+    if max(depth_a, depth_b) <= NEAR:
+        return None
+    if min(depth_a, depth_b) < NEAR:
+        cut = a + (NEAR - depth_a) / (depth_b - depth_a) * (b - a)
+        a, b = (cut, b) if depth_a < depth_b else (a, cut)
+    return project(camera, a), project(camera, b)
+
+
+def draw_lines(lines: Iterable[Line], camera: Camera, from_picture: Callable, scale: float) -> None:
+    """Draw lines of a world under the panel; `from_picture` gives screen coordinates of the picture's pixels."""
+    from imgui_bundle import imgui
+
+    draw_list = imgui.get_background_draw_list()
+    for line in lines:
+        ends = visible_part(line, camera)
+        if ends is None:
+            continue
+        a, b = from_picture(ends[0]), from_picture(ends[1])
+        colour = imgui.get_color_u32((*line.colour, 1.0))
+        draw_list.add_line(a, b, imgui.get_color_u32((0.0, 0.0, 0.0, 0.4)), 3.5 * scale)
+        draw_list.add_line(a, b, colour, 1.5 * scale)
+        if line.text:
+            draw_list.add_text((b[0] + 4 * scale, b[1] - 8 * scale), colour, line.text)
+
+
+def measuring_lines(points: Sequence[np.ndarray] | None, eye: np.ndarray) -> list[Line]:
+    """Crosses at the points (3,) [m] of a length to be measured, and the line between two of them with its length."""
+    if not points:
+        return []
+    half = CROSS * float(np.linalg.norm(np.subtract(points[0], eye)))
+    lines = [Line(p - half * axis, p + half * axis, MEASURE_COLOUR) for p in points for axis in np.eye(3)]
+    if len(points) == 2:
+        lines.append(Line(points[0], points[1], MEASURE_COLOUR, f"{np.linalg.norm(points[1] - points[0]):.3g} m"))
+    return lines

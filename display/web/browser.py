@@ -6,7 +6,6 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 from time import perf_counter, sleep
 
 import numpy as np
@@ -14,23 +13,17 @@ import numpy as np
 from core.errors import Cancelled
 from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
+from display.panel import Panel, commands_of
 from display.picture import fit, pixels_of
 from display.preferences import Preferences, read_bookmarks
 from display.protocol import Frame, WorldView
-from display.user_commands import Command, Export, Pause, SetLight, SingleStep, last_of
-from display.web.page_server import LOOPBACK, PageServer
-from display.web.page_state import WINDOW_ONLY, first_words, overlay, scene_request, sliders_of, world_state
-from display.web.picture_flow import STILL_QUALITY
-from display.window.controls import Controls
+from display.user_commands import Command, Pause, SingleStep, last_of
+from display.web.page_messages import WINDOW_ONLY, first_words, overlay, scene_request, world_state
+from display.web.page_server import LOOPBACK, STILL_QUALITY, PageServer
+from display.window.controls import Controls, Hover
 from display.window.gl_window import PLACES, chord_name
-from display.window.hover import Hover
 from display.window.key_bindings import BY_CHORD
-from display.window.mouse_hand import MouseHand
-from display.window.orbit_camera import OrbitCamera
-from display.window.panel.body_section import BUTTONS
-from display.window.panel.keep_section import buttons
-from display.window.panel.performance_section import RESOLUTIONS, count_texts, frame_lines
-from display.window.panel.slider import readable
+from display.window.mouse import MouseHand, OrbitCamera
 from scenes.scene import Scene
 
 PERIOD = 1 / 60  # [s] of a frame at least
@@ -41,7 +34,7 @@ SIZE = (960, 540)  # [px] before a page tells its own
 MAX_PIXELS = 1920 * 1080  # of a picture
 MIN_SIDE = 16  # [px] of a picture
 CODES = {"ShiftLeft": "shift", "ShiftRight": "shift", "NumpadAdd": "plus", "NumpadSubtract": "minus"}
-TOLD_INTERVAL, READ_INTERVAL = 0.1, 0.5  # [s] between two states of the panel, and two readings of the timings
+TOLD_INTERVAL = 0.1  # [s] between two states of the panel
 
 
 class Browser:
@@ -71,7 +64,7 @@ class Browser:
         self._server = PageServer(host or LOOPBACK, port, first_words(title, name, scene), encode)
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._controls.bookmarks = self._bookmarks_of(name)
-        self._resolution, self._scale_name = WindowResolution(), "Auto"  # the name of what a page has chosen
+        self._resolution, self._panel = WindowResolution(), Panel()
         self._camera = self._controls.orbit.camera(*self._full)  # of the picture in full size
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)  # [px] of the camera
@@ -86,7 +79,7 @@ class Browser:
         self._time = 0.0  # [s] of all frames
         self._picture, self._shown = 0, None  # number of the picture, and which one of which world it is
         self._start: np.ndarray | None = None  # pixels of the first picture, while the world is made
-        self._told = self._read = -READ_INTERVAL
+        self._told = -TOLD_INTERVAL  # [s] when the pages were told what their panels show
         print(f"Open {self._server.address}", flush=True)
         if host not in (None, LOOPBACK, "localhost", "::1"):
             print("Anyone who has this address can play; the connection is not encrypted.", file=sys.stderr, flush=True)
@@ -122,7 +115,7 @@ class Browser:
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) [px] of the picture that suits the page now."""
-        scale, full = RESOLUTIONS[self._scale_name], self._full
+        scale, full = self._panel.scale, self._full
         wanted = self._resolution.size(full) if scale is None else (round(side * scale) for side in full)
         return tuple(max(MIN_SIDE, side) for side in wanted)
 
@@ -232,16 +225,9 @@ class Browser:
         now = perf_counter()
         if now - self._told >= TOLD_INTERVAL:
             self._told = now
-            drag = {"grabbing": self._controls.drag == "grab"}
-            self._server.tell(world_state(world) | drag)
-        if now - self._read >= READ_INTERVAL:
-            self._read = now
-            timings = world.timings
-            numbers = {"fps": round(timings.recent_fps()) if self._busy else None, "resolution": self._scale_name}
-            if self._server.details:
-                stages = [[name, f"{median:.2f}", f"{worst:.2f}"] for name, median, worst in timings.recent()]
-                numbers |= {"stages": stages, "lines": frame_lines(timings), "counts": count_texts(world.stats())}
-            self._server.tell(numbers)
+            self._panel.read(world)
+            own = {"grabbing": self._controls.drag == "grab", "fps": round(self._panel.fps) if self._busy else None}
+            self._server.tell(world_state(world, self._panel) | own)
 
     def _camera_moved(self) -> bool:
         """True if the camera is not where it was in the last frame; takes note of where it is."""
@@ -279,21 +265,10 @@ class Browser:
                 self._pointing = False
             elif kind == "edits":
                 (self._near,) = what
-            elif kind == "resolution":
-                (self._scale_name,) = what
-            elif kind == "slide":
-                commands += self._slide(*what, world)
-            elif kind == "light":
-                commands += [] if world.light is None else [SetLight(replace(world.light, kind=what[0].lower()))]
+            elif kind == "panel":
+                commands += commands_of(self._panel.sections(world), *what)
             elif kind == "open":
                 commands += filter(None, [scene_request(*what)])
-            elif kind == "keep":
-                name, export = what
-                commands += [command for one, (command, _) in buttons(world, Export(export)).items() if one == name]
-            elif kind == "edit":
-                commands.append(BUTTONS[what[0]][0])
-            elif kind == "command":
-                commands += what
         controls.note(commands)
         self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)
         commands += controls.place_light(world, *self._cursor, self._camera)
@@ -313,11 +288,6 @@ class Browser:
             controls.release("left")  # the first finger began to turn the view
             controls.pan(du * self._camera.width, dv * self._camera.height, self._camera)
         controls.wheel(notches)
-
-    def _slide(self, section: str, name: str, value: float, continued: bool, world: WorldView) -> list[Command]:
-        """A slider of the panel is moved; its command."""
-        moved = [slider for slider in sliders_of(world, section) if slider.name == name]
-        return [s.command(readable(min(max(value, s.low), s.high)), continued) for s in moved]
 
     def _key(self, code: str, printed: str, down: bool, ctrl: bool, world: WorldView) -> list[Command]:
         """A key that goes down or up; its commands."""

@@ -25,11 +25,11 @@ function connect() {
   url.search = location.search;
   socket = new WebSocket(url);
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => { ended = ""; sendSize(); send("hidden", document.hidden); send("details", get("performance").open && !get("panel").hidden); };
+  socket.onopen = () => { ended = ""; sendSize(); send("hidden", document.hidden); sendDetails(); };
   socket.onmessage = (event) => typeof event.data === "string" ? take(JSON.parse(event.data)) : arrive(event.data);
   socket.onclose = (event) => {
     state = {};
-    get("controls").hidden = get("performance").hidden = true;
+    get("controls").hidden = true;
     get("role").hidden = get("line").hidden = true;
     if (event.code === 1001) ended = "The play has ended.";
     say(ended || (hello ? "The connection is lost. Trying again …" : "No answer. Trying again …"));
@@ -236,30 +236,117 @@ addEventListener("blur", () => { fingers.clear(); pinch = null; send("blur"); })
 
 // ---------------------------------------------------------------- the panel
 
-const command = (name, value) => send("command", { [name]: value });
+const sections = new Map();  // title -> { element, summary, content, rows, shape }
 
-function button(name, tip, act) {
-  const made = document.createElement("button");
-  made.textContent = name;
-  made.title = tip || "";
-  made.onclick = act;
+function make(tag, properties = {}, ...children) {
+  const made = Object.assign(document.createElement(tag), properties);
+  made.append(...children);
   return made;
 }
 
-function choice(id, names, act) {
-  get(id).replaceChildren(...names.map((name) => button(name, names.tips && names.tips[name], () => act(name))));
+function button(name, act) {
+  const made = make("button", { textContent: name, onclick: act });
+  made.dataset.name = name;
+  return made;
 }
 
-function mark(id, chosen) {
-  for (const one of get(id).children) one.classList.toggle("on", one.textContent === chosen);
+// For each kind of row: makes its element, and returns it with what shows a row's present content.
+const ROWS = {
+  ButtonGrid(row, act) {
+    const buttons = row.buttons.map((one) => button(one.name, () => act(one.name, true)));
+    const show = (now) => now.buttons.forEach((one, k) => {
+      buttons[k].textContent = one.label;
+      buttons[k].title = one.tip;
+      buttons[k].classList.toggle("on", one.on);
+    });
+    return [make("div", { className: row.columns === 2 ? "grid two" : "grid three" }, ...buttons), show];
+  },
+  Choice(row, act) {
+    if (row.listed) {
+      const list = make("select", { className: "wide", title: row.tip });
+      list.onchange = () => { act(row.name, list.value); stage.focus(); };
+      const show = (now) => {
+        const known = now.options.some(([name]) => name === now.current);
+        const options = known ? now.options : [[now.current, ""], ...now.options];
+        list.replaceChildren(...options.map(([name, text]) => new Option(text ? `${name}, ${text}` : name, name, false, name === now.current)));
+      };
+      list.dataset.name = row.name;
+      return [list, show];
+    }
+    const buttons = row.options.map(([name, tip]) => Object.assign(button(name, () => act(row.name, name)), { title: tip }));
+    const show = (now) => buttons.forEach((one) => one.classList.toggle("on", one.dataset.name === now.current));
+    return [make("div", { className: "choice" }, ...buttons), show];
+  },
+  Slider(row, act) {
+    const input = make("input", { type: "range", min: 0, max: SLIDER_STEPS, step: 1 });
+    const name = make("span"), shown = make("output"), element = make("label", { className: "slider" }, name, shown, input);
+    let slider = row, continued = false;
+    input.onpointerdown = () => { continued = false; };
+    input.oninput = () => {
+      act(slider.name, valueOf(slider, Number(input.value)), continued);
+      continued = input.matches(":active");
+    };
+    element.ondblclick = element.oncontextmenu = (event) => {  // a long press, too
+      event.preventDefault();
+      if (slider.usual !== null) act(slider.name, slider.usual);
+    };
+    return [element, (now) => {
+      slider = now;
+      element.title = now.tip;
+      name.textContent = now.name;
+      shown.textContent = now.shown;
+      if (!input.matches(":active")) input.value = stepOf(now, now.value);
+    }];
+  },
+  Toggle(row, act) {
+    const input = make("input", { type: "checkbox" });
+    input.onchange = () => act(row.name, input.checked);
+    return [make("label", { className: "toggle" }, input, row.name), (now) => { input.checked = now.on; }];
+  },
+  Text() {
+    const element = make("div", { className: "quiet" });
+    return [element, (now) => { element.textContent = now.text; }];
+  },
+  Table(row) {
+    const element = make("table", { className: row.head ? "numbers head" : "numbers" });
+    return [element, (now) => fill(element, now.rows)];
+  },
+};
+
+function sectionOf(title, about) {
+  if (sections.has(title)) return sections.get(title);
+  const summary = make("summary"), content = make("div");
+  const element = about.plain ? make("section", {}, content) : make("details", { open: !about.folded }, summary, content);
+  element.ontoggle = sendDetails;
+  if (title === "Body") {
+    element.onpointerenter = () => send("edits", true);
+    element.onpointerleave = () => send("edits", false);
+  }
+  element.dataset.title = title;
+  sections.set(title, { element, summary, content, rows: [], shape: "" });
+  return sections.get(title);
 }
 
-function rows(id, lines) {
-  get(id).replaceChildren(...lines.map((line) => {
-    const row = document.createElement("tr");
-    row.append(...line.map((text) => Object.assign(document.createElement("td"), { textContent: text })));
-    return row;
-  }));
+function showSection(title, about) {
+  const section = sectionOf(title, about);
+  const shape = JSON.stringify(about.rows.map((row) => [row.kind, row.name, row.options, (row.buttons || []).map((one) => one.name)]));
+  if (shape !== section.shape) {
+    const act = (name, value, continued = false) => send("panel", title, name, value, continued);
+    section.shape = shape;
+    section.rows = about.rows.map((row) => ROWS[row.kind](row, act));
+    section.content.replaceChildren(...section.rows.map(([element]) => element));
+  }
+  section.summary.textContent = about.label;
+  about.rows.forEach((row, k) => section.rows[k][1](row));
+}
+
+function sendDetails() {
+  const section = sections.get("Performance");
+  send("details", Boolean(section && section.element.open) && !get("panel").hidden);
+}
+
+function fill(table, lines) {
+  table.replaceChildren(...lines.map((line) => make("tr", {}, ...line.map((text) => make("td", { textContent: text })))));
 }
 
 let shownForKeys = false;
@@ -275,26 +362,26 @@ function togglePanel() {
   get("panel").hidden = !get("panel").hidden;
   get("menu").classList.toggle("on", !get("panel").hidden);
   document.body.classList.toggle("open", !get("panel").hidden);
-  send("details", get("performance").open && !get("panel").hidden);
+  sendDetails();
   if (get("panel").hidden) send("edits", false);
 }
 
 function buildScenes() {
   get("scenes").hidden = !hello.scenes.length;
   get("scene-list").replaceChildren(...hello.scenes.map((scene) => {
-    const cell = document.createElement("div"), words = document.createElement("div"), options = {};
+    const cell = make("div"), words = make("div"), options = {};
     cell.className = scene.name === hello.playing ? "scene now" : "scene";
     cell.tabIndex = 0;
     if (scene.picture) cell.append(Object.assign(new Image(), { src: scene.picture, alt: "" }));
-    words.append(Object.assign(document.createElement("b"), { textContent: scene.spoken }));
+    words.append(make("b", { textContent: scene.spoken }));
     for (const [name, [usual, ...choices]] of Object.entries(scene.options)) {
-      const list = document.createElement("select");
+      const list = make("select");
       list.append(...choices.map((choice) => new Option(choice, choice, false, choice === usual)));
       list.onclick = (event) => event.stopPropagation();
       list.onchange = () => { options[name] = list.value; };
       words.append(list);
     }
-    words.append(Object.assign(document.createElement("p"), { textContent: scene.line }));
+    words.append(make("p", { textContent: scene.line }));
     cell.append(words);
     cell.onclick = () => { send("open", scene.name, options); get("menu-of-scenes").close(); };
     cell.onkeydown = (event) => { if (event.target === cell && event.code === "Enter") cell.click(); };
@@ -312,22 +399,12 @@ function build() {
   document.title = get("title").textContent = hello.title;
   buildScenes();
   get("cast").textContent = hello.cast.join("; ");
-  choice("interaction", Object.assign(Object.keys(hello.interactions), { tips: hello.interactions }),
-    (name) => command("interaction", name.toLowerCase()));
-  choice("light-kind", ["Point", "Directional"], (name) => send("light", name));
-  choice("resolution", hello.resolutions, (name) => { send("resolution", name); mark("resolution", name); });
-  get("edits").replaceChildren(...Object.entries(hello.edits).map(([name, tip]) => button(name, tip, () => send("edit", name))));
-  get("kind").replaceChildren(...hello.kinds.map((kind) => new Option(`export .${kind}`, kind)));
-  get("kind").title = hello.kind_tip;
-  mark("interaction", state.interaction);
-  mark("resolution", state.resolution);
-  mark("light-kind", state.light);
   const touch = matchMedia("(pointer: coarse)").matches;
   const gestures = touch ? [["One finger", "grab a body, release to throw; else turn around the scene"],
     ["Two fingers", "apart or together: nearer and farther; side by side: shift the view"],
     ["  while holding", "the body comes nearer or goes farther"]] : [];
-  rows("key-list", [...gestures, ...hello.keys]);
-  const bold = (text) => Object.assign(document.createElement("b"), { textContent: text });
+  fill(get("key-list"), [...gestures, ...hello.keys]);
+  const bold = (text) => make("b", { textContent: text });
   const hint = get("hint");
   hint.replaceChildren(bold("Drag"), " a body to grab it, let go to throw   ·   ", bold(touch ? "≡" : "F1"), " panel");
   if (!touch) hint.append("   ·   ", bold("P"), " demonstration");
@@ -345,56 +422,12 @@ function stepOf(slider, value) {
   return Math.round(SLIDER_STEPS * part);
 }
 
-function makeSlider(section) {
-  const row = document.createElement("label"), input = document.createElement("input");
-  Object.assign(input, { type: "range", min: 0, max: SLIDER_STEPS, step: 1 });
-  row.append(document.createElement("span"), document.createElement("output"), input);
-  let continued = false;
-  input.onpointerdown = () => { continued = false; };
-  input.oninput = () => {
-    send("slide", section, row.slider.name, valueOf(row.slider, Number(input.value)), continued);
-    continued = input.matches(":active");
-  };
-  row.ondblclick = row.oncontextmenu = (event) => {  // a long press, too
-    event.preventDefault();
-    if (row.slider.usual !== null) send("slide", section, row.slider.name, row.slider.usual, false);
-  };
-  return row;
-}
-
-function showSliders(section, sliders) {
-  const list = get(`sliders-${section}`);
-  while (list.children.length > sliders.length) list.lastChild.remove();
-  while (list.children.length < sliders.length) list.append(makeSlider(section));
-  sliders.forEach((slider, k) => {
-    const row = list.children[k], [name, shown, input] = row.children;
-    row.slider = slider;
-    row.title = slider.tip;
-    name.textContent = slider.name;
-    shown.textContent = slider.shown;
-    if (!input.matches(":active")) input.value = stepOf(slider, slider.value);
-  });
-}
-
 get("menu").onclick = togglePanel;
 get("take").onclick = () => send("take");
-get("pause").onclick = () => command("pause", !state.paused);
-get("step").onclick = () => { command("pause", true); command("step", true); };
-get("reset").onclick = () => command("reset", true);
-get("undo").onclick = () => command("undo", true);
-get("redo").onclick = () => command("redo", true);
-get("demo").onclick = () => command("demo", !state.demo);
-get("material").onchange = (event) => {
-  command("material", [null, event.target.value]);
-  stage.focus();
-};
 get("scenes").onclick = openScenes;
 get("close-scenes").onclick = () => get("menu-of-scenes").close();
 get("menu-of-scenes").onclick = (event) => { if (event.target === get("menu-of-scenes")) event.target.close(); };
 get("menu-of-scenes").onclose = () => stage.focus();
-get("performance").ontoggle = () => send("details", get("performance").open && !get("panel").hidden);
-get("edit").onpointerenter = () => send("edits", true);
-get("edit").onpointerleave = () => send("edits", false);
 get("panel").addEventListener("click", (event) => {
   if (event.target.tagName === "BUTTON" && event.detail) stage.focus();  // a click, not a key: keys play on
 });
@@ -415,39 +448,20 @@ function take(news) {
     get("line").hidden = !(state.score || state.message || state.notice || state.opening);
   }
   if ("editable" in news) {
-    get("kind").hidden = !state.editable;
-    get("controls").hidden = get("performance").hidden = false;
-    get("play").hidden = get("edit").hidden = get("world").hidden = !state.editable;
+    get("controls").hidden = false;
     get("hint").hidden = !state.editable || state.role !== "play" || get("hint").classList.contains("gone");
     setTimeout(() => get("hint").classList.add("gone"), HINT_SECONDS * 1000);
   }
-  if ("paused" in news) get("pause").textContent = state.paused ? "Resume" : "Pause";
-  if ("demo" in news) get("demo").textContent = state.demo ? "Stop" : "Watch";
-  if ("demo" in news) get("demo").classList.toggle("on", state.demo);
-  if ("interaction" in news) mark("interaction", state.interaction);
-  if ("selected" in news) {
-    get("selected").textContent = state.selected || "Take hold of a body to change it.";
-    get("selected").classList.toggle("quiet", !state.selected);
-    get("material").hidden = get("edits").hidden = !state.selected;
+  if ("sections" in news) {
+    const listed = news.sections.map((title) => sectionOf(title, state[`section ${title}`]).element);
+    get("sections").replaceChildren(...listed);
   }
-  if ("material" in news && state.material) {
-    const names = hello.materials.includes(state.material) ? hello.materials : [state.material, ...hello.materials];
-    get("material").replaceChildren(...names.map((name) => new Option(name, name, false, name === state.material)));
-  }
-  if ("light" in news) { get("light").hidden = !state.light; mark("light-kind", state.light); }
-  if ("sliders" in news) Object.entries(state.sliders).forEach(([section, sliders]) => showSliders(section, sliders));
+  for (const title of state.sections || []) if (`section ${title}` in news) showSection(title, state[`section ${title}`]);
   if ("fps" in news) get("fps").textContent = state.fps === null ? "at rest" : `${state.fps} fps`;
-  if ("resolution" in news) mark("resolution", state.resolution);
-  if ("stages" in news) rows("stages", [["ms", "median", "worst"], ...state.stages]);
-  if ("lines" in news || "counts" in news) get("numbers").textContent = [...(state.lines || []), (state.counts || []).join(", ")].join("\n");
   if ("film" in news) {
     const seconds = String((state.film || 0) % 60).padStart(2, "0");
     get("film").textContent = `${Math.floor((state.film || 0) / 60)}:${seconds}`;
     get("film").hidden = state.film === null;
-  }
-  if ("keep" in news) {
-    get("keep-buttons").replaceChildren(...Object.entries(state.keep).map(([name, tip]) =>
-      button(name, tip, () => send("keep", name, get("kind").value))));
   }
   if ("grabbing" in news) {
     stage.classList.toggle("grabbing", state.grabbing);

@@ -1,4 +1,6 @@
-"""Messages of a page: JSON lists of a name and its values, untrusted. Everything is checked on reading.
+"""What goes to a page and comes from it, as JSON.
+
+A message of a page is a list of a name and its values, untrusted: all of them are checked on reading (MESSAGES).
 
 | message | |
 | --- | --- |
@@ -14,122 +16,84 @@
 | ["hidden", on] | nobody sees the page |
 | ["take"] | this page wants to play |
 | ["details", on] | the timings are on view |
-| ["edits", on] | the pointer is among the edits |
-| ["resolution", name] | a name of RESOLUTIONS |
-| ["slide", section, name, value, continued] | a slider of the panel; whether it goes on with the last change |
-| ["light", kind] | "Point" or "Directional" |
-| ["keep", name, kind] | a button of the panel that writes a file; the kind of an export |
-| ["edit", name] | a button of the panel's section of the body |
+| ["edits", on] | the pointer is among the edits of a body |
+| ["panel", section, row, value, continued] | a row of the panel (panel.commands_of); continues the last change |
 | ["open", name, {option: choice}] | another scene |
 | ["leave"] | the pointer is not over the picture |
-| ["command", {name: value}] | one of COMMANDS, as in recordings |
+
+The program tells what a page shows: `first_words` once for each scene, then changes of `world_state`.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import math
-from collections.abc import Callable
+from base64 import b64encode
+from typing import Annotated, Any, Literal
 
+import numpy as np
+
+from core.camera import Camera, project
 from core.errors import BadInput
-from display.record.codec import from_text
-from display.user_commands import Command
-from display.web.page_state import SECTIONS
-from display.window.panel.body_section import BUTTONS
-from display.window.panel.keep_section import KINDS
-from display.window.panel.performance_section import RESOLUTIONS
+from core.typed import Range, Size, from_plain
+from core.vocabulary import BodyState
+from display.edit.selection_marker import marked, marker_lines
+from display.panel import (
+    ButtonGrid,
+    Choice,
+    Panel,
+    Row,
+    Section,
+    Slider,
+    chosen_by_list,
+    demos,
+    line_of,
+    picture_file,
+    score_and_message,
+    spoken,
+)
+from display.protocol import WorldView
+from display.run_stats import plain
+from display.user_commands import OpenScene
+from display.window.controls import HOVER_OPACITY
+from display.window.key_bindings import BY_CHORD, help_rows
+from scenes.registry import Demo
+from scenes.scene import Scene
 
 MESSAGE_BYTES = 4096  # of one message: none of ours has more than a few hundred
-SIDE_MAX = 16_384  # [px] of a page
-FAR = 4.0  # pictures away from its corner: a captured pointer leaves the page, but not for long
-NOTCHES_MAX = 50.0  # of a wheel at once
-SLIDER_MAX = 1e12  # in any unit
-OPTIONS_MAX = 10
-TEXT_MAX = 40  # characters of the name of a key, a slider or a scene
-COMMANDS = ("demo", "reset", "interaction", "material", "undo", "redo", "pause", "step")  # none names a file
-
-
-def number(low: float, high: float) -> Callable:
-    """A check for numbers within bounds."""
-
-    def check(value) -> float:
-        if type(value) not in (int, float) or not (math.isfinite(value) and low <= value <= high):
-            raise ValueError
-        return float(value)
-
-    return check
-
-
-def one_of(*values) -> Callable:
-    """A check for one of these values."""
-
-    def check(value):
-        if not any(value is known or (isinstance(value, str) and value == known) for known in values):
-            raise ValueError
-        return value
-
-    return check
-
-
-def side(value) -> int:
-    """A check for a side of a page [px]."""
-    return round(number(1, SIDE_MAX)(value))
-
-
-def text(value) -> str:
-    """A check for a short text."""
-    if not isinstance(value, str) or len(value) > TEXT_MAX:
-        raise ValueError
-    return value
-
-
-def choices(value) -> dict[str, str]:
-    """A check for options of a scene."""
-    if not isinstance(value, dict) or len(value) > OPTIONS_MAX:
-        raise ValueError
-    return {text(key): text(choice) for key, choice in value.items()}
-
-
-def optional(check: Callable) -> Callable:
-    """A check that lets None pass."""
-    return lambda value: None if value is None else check(value)
-
-
-def command(value) -> Command:
-    """A check for one command."""
-    if not isinstance(value, dict) or len(value) != 1 or not set(value) <= set(COMMANDS):
-        raise ValueError
-    _, (found,) = from_text(json.dumps({"frame": 0, **value}))
-    return found
-
-
-MOUSE_BUTTON, SWITCH = one_of("left", "right", "middle"), one_of(True, False)
-FRACTION, STAMP, COUNT = number(-FAR, FAR), number(0, 1e15), number(0, 2**53)
-NOTCHES = number(-NOTCHES_MAX, NOTCHES_MAX)
-CHECKS: dict[str, tuple[Callable, ...]] = {
-    "size": (side, side),
-    "move": (FRACTION, FRACTION, STAMP),
-    "button": (MOUSE_BUTTON, SWITCH, FRACTION, FRACTION, STAMP),
-    "wheel": (NOTCHES, STAMP),
-    "pinch": (NOTCHES, FRACTION, FRACTION, STAMP),
-    "key": (text, text, SWITCH, SWITCH, STAMP),
-    "blur": (),
-    "shown": (COUNT, optional(number(0, 1e9))),
-    "pong": (COUNT,),
-    "hidden": (SWITCH,),
-    "take": (),
-    "details": (SWITCH,),
-    "edits": (SWITCH,),
-    "resolution": (one_of(*RESOLUTIONS),),
-    "edit": (one_of(*BUTTONS),),
-    "keep": (text, one_of(*KINDS)),
-    "light": (one_of("Point", "Directional"),),
-    "slide": (one_of(*SECTIONS), text, number(-SLIDER_MAX, SLIDER_MAX), SWITCH),
-    "open": (text, choices),
-    "leave": (),
-    "command": (command,),
+Name = Annotated[str, Size(40)]  # of a key, of a scene and its options, of a section of the panel and its rows
+Side = Annotated[int, Range(1, 16_384)]  # [px] of a page
+Fraction = Annotated[float, Range(-4.0, 4.0)]  # of the picture: a captured pointer leaves the page, but not for long
+Stamp = Annotated[float, Range(0.0, 1e15)]  # [ms]
+Notches = Annotated[float, Range(-50.0, 50.0)]  # of a wheel at once
+Count = Annotated[int, Range(0, 2**53)]
+MESSAGES: dict[str, Any] = {
+    "size": tuple[Side, Side],
+    "move": tuple[Fraction, Fraction, Stamp],
+    "button": tuple[Literal["left", "right", "middle"], bool, Fraction, Fraction, Stamp],
+    "wheel": tuple[Notches, Stamp],
+    "pinch": tuple[Notches, Fraction, Fraction, Stamp],
+    "key": tuple[Name, Name, bool, bool, Stamp],
+    "blur": tuple[()],
+    "shown": tuple[Count, Annotated[float, Range(0.0, 1e9)] | None],
+    "pong": tuple[Count],
+    "hidden": tuple[bool],
+    "take": tuple[()],
+    "details": tuple[bool],
+    "edits": tuple[bool],
+    "panel": tuple[Name, Name, bool | Annotated[float, Range(-1e12, 1e12)] | Name, bool],
+    "open": tuple[Name, Annotated[dict[Name, Name], Size(10)]],
+    "leave": tuple[()],
 }
 STAMPED = ("move", "button", "wheel", "pinch", "key")  # the last value is the stamp
+# Actions of keys that a page has in its own way, or not at all.
+WINDOW_ONLY = ("toggle_panel", "toggle_menu", "toggle_help", "ask_file", "next_gizmo", "toggle_room_gizmo", "escape")
+PAGE_KEYS = [
+    ("F1", "show or hide the panel"),
+    ("F2", "choose another scene"),
+    ("H", "list of mouse and keys"),
+    ("Esc", "end drag or demonstration"),
+]
 
 
 def read_message(message: str | bytes) -> tuple:
@@ -138,6 +102,101 @@ def read_message(message: str | bytes) -> tuple:
         if not isinstance(message, str):
             raise ValueError
         name, *values = json.loads(message)
-        return name, *(check(value) for check, value in zip(CHECKS[name], values, strict=True))
-    except (ValueError, TypeError, KeyError, OverflowError, RecursionError, BadInput) as e:
+        return name, *from_plain(MESSAGES[name], values, name)
+    except (ValueError, TypeError, KeyError, RecursionError, BadInput) as e:
         raise BadInput("malformed message") from e
+
+
+def first_words(title: str, name: str, scene: Scene) -> dict:
+    """First message to a page: what does not change while the scene of that `name` is played."""
+    editable = scene.light is not None or bool(scene.bodies)
+    return {
+        "title": title,
+        "playing": name,
+        "scenes": [described_scene(demo) for demo in demos()] if editable else [],
+        "cast": [f"{file} is {role}" for file, role in scene.cast],
+        "keys": [*help_rows(editable, WINDOW_ONLY), *PAGE_KEYS],
+        "ctrl_keys": [chord.rpartition("+")[2] for chord in BY_CHORD if chord.startswith("ctrl+")],
+    }
+
+
+def described_scene(demo: Demo) -> dict:
+    """A scene for the menu, with its picture as a data URL, or None."""
+    options = {option.name: [str(option.default), *option.choices] for option in chosen_by_list(demo)}
+    picture = picture_file(OpenScene(demo.name))
+    data = None if picture is None else "data:image/jpeg;base64," + b64encode(picture.read_bytes()).decode()
+    return {
+        "name": demo.name,
+        "spoken": spoken(demo.name),
+        "line": line_of(demo),
+        "options": options,
+        "picture": data,
+    }
+
+
+def scene_request(name: str, options: dict) -> OpenScene | None:
+    """The command that opens a scene of the menu with options that it has; None if there is none such."""
+    for demo in demos():
+        known = {option.name: option.choices for option in chosen_by_list(demo)}
+        if demo.name == name and all(value in known.get(key, ()) for key, value in options.items()):
+            return OpenScene(name, options)
+    return None
+
+
+def world_state(world: WorldView, panel: Panel) -> dict:
+    """What a page shows of a world beside its picture; cheap enough for every frame. A key for each section of the
+    panel: a change of one is all that then goes to the page."""
+    score, message = score_and_message(world)
+    sections = panel.sections(world)
+    return {
+        "loading": "",
+        "editable": world.editable,
+        "score": score,
+        "message": message,
+        "notice": world.notice,
+        "opening": world.opening,
+        "film": None if world.film_seconds is None else int(world.film_seconds),
+        "sections": [section.title for section in sections],
+        **{f"section {section.title}": described_section(section) for section in sections},
+    }
+
+
+def described_section(section: Section) -> dict:
+    """A section of the panel as the page builds it."""
+    rows = [described_row(row) for row in section.rows]
+    return {"label": section.label or section.title, "folded": section.folded, "plain": section.plain, "rows": rows}
+
+
+def described_row(row: Row) -> dict:
+    """A row of the panel, with its kind in place of its commands."""
+    kind = {"kind": type(row).__name__}
+    if isinstance(row, ButtonGrid):
+        buttons = [{"name": b.name, "label": b.label or b.name, "tip": b.tip, "on": b.on} for b in row.buttons]
+        return kind | {"columns": row.columns, "buttons": buttons}
+    fields = {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
+    if isinstance(row, Slider) and row.usual is not None:
+        fields["tip"] += " A right click brings the usual value back."
+    if isinstance(row, Choice):
+        fields["options"] = list(row.options.items())
+    return kind | plain({name: value for name, value in fields.items() if not callable(value)})
+
+
+def overlay(world: WorldView, camera: Camera, hand: np.ndarray | None, under: BodyState | None, *, near: bool) -> list:
+    """Strokes over the picture: [u, v] of the hand, and [u, v, u, v, opacity] of the corners of the marked body.
+
+    u and v are fractions of the camera's picture.
+
+    under  the body under the cursor
+    near   the cursor is among the edits
+    """
+
+    def place(at: tuple[float, float]) -> list[float]:
+        return [round(float(at[0]) / camera.width, 4), round(float(at[1]) / camera.height, 4)]
+
+    if hand is not None:
+        at = project(camera, hand)
+        return [] if at is None else [place(at)]
+    body = marked(world, near=near)
+    shown = [(body, 1.0)] if body is not None else []
+    shown += [(under, HOVER_OPACITY)] if under is not None and under is not body else []
+    return [[*place(a), *place(b), s * opacity] for one, s in shown for a, b, opacity in marker_lines(one, camera)]

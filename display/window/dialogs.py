@@ -39,7 +39,9 @@ def begin_dialog(name: str, width: float, *, foot: bool = False) -> None:
     from imgui_bundle import imgui
 
     area, flags = imgui.get_io().display_size, imgui.WindowFlags_
-    at, pivot = ((0.5 * area.x, area.y - pixels(FOOT)), (0.5, 1.0)) if foot else ((0.5 * area.x, 0.5 * area.y), (0.5, 0.5))
+    at, pivot = (
+        ((0.5 * area.x, area.y - pixels(FOOT)), (0.5, 1.0)) if foot else ((0.5 * area.x, 0.5 * area.y), (0.5, 0.5))
+    )
     imgui.set_next_window_pos(at, 0, pivot)
     imgui.set_next_window_size((min(pixels(width), area.x), 0))
     imgui.begin(name, None, flags.no_title_bar | flags.no_resize | flags.no_move | flags.no_saved_settings)

@@ -1,4 +1,7 @@
-"""The headset's display: the world in stereo around the player, both hands in it, a mirror on the desktop."""
+"""The headset's display: the world in stereo around the player, both hands in it, and a mirror on the desktop.
+
+The mirror is a window that shows what the left eye sees, or, without a screen, only an OpenGL context.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,14 @@ from core.errors import BadInput, Cancelled
 from display.adaptive_resolution import DynamicResolution
 from display.clock import Clock
 from display.edit.selection_marker import marked
+from display.panel import Panel
+from display.picture import PictureTexture
 from display.protocol import Frame, WorldView
 from display.user_commands import Command
-from display.window.gl_window import has_display
+from display.window.gl_context import EglContext
+from display.window.gl_window import GLWindow, has_display
+from display.window.panel_drawer import PanelDrawer
 from display.xr import avatar
-from display.xr.mirror import open_mirror
 from display.xr.openxr_runtime import (
     HEADSET_TIMEOUT,
     WINDOW_INSTEAD,
@@ -25,18 +31,84 @@ from display.xr.openxr_runtime import (
     graphics_binding,
     required_extensions,
 )
-from display.xr.panel_layer import PanelContent
 from display.xr.player import TAP_SECONDS, TAP_STRENGTH, Player, PoseFilter
 from display.xr.poses import eye_camera
 from display.xr.session import SessionLost, StatusMessages, XrSession
 from display.xr.swapchains import DEPTH_EXTENSION
-from display.xr.wrist_panel import WristPanel
+from display.xr.wrist_panel import PanelContent, WristPanel
 from render.skinned_props import Skin
 from scenes.scene import Scene
 
 RECONNECT_TIMEOUT = 60.0  # [s] for a runtime that went away to come back
 LEAVE_TIMEOUT = 3.0  # [s] for a runtime to end the session
 MIN_SIDE, MAX_SIDE = 16, 8192  # [px] of an eye's picture
+
+
+class Mirror:
+    """A window that shows what the left eye sees, and the panel. `gl` is its context (moderngl)."""
+
+    egl: EglContext | None = None
+
+    def __init__(self, scene: Scene, title: str, width: int, height: int, views: int):
+        self._surface = GLWindow(title, width, height, vsync=False)  # the headset sets the rate
+        self.gl = self._surface.gl
+        self.texture = PictureTexture(self.gl, views=views)
+        self._panel = PanelDrawer(title, self._surface.scale, Panel())
+
+    @property
+    def closing(self) -> bool:
+        """True once the user has asked to close the window."""
+        return self._surface.closing
+
+    @property
+    def resolution(self) -> float | None:
+        """Scale of a side of the headset's pictures, as the user has chosen; None: what holds the rate."""
+        return self._panel.panel.scale
+
+    def show_title(self, title: str) -> None:
+        """Give window and panel another title."""
+        self._surface.set_title(title)
+        self._panel.title = title
+
+    def show(self, world: WorldView) -> list[Command]:
+        """Draw the picture that was last uploaded, and the panel; the panel's commands."""
+        self._surface.begin()
+        self.texture.draw(self._surface.frame_size)
+        commands = self._panel.draw(world, visible=True)
+        self._surface.end()
+        self._surface.swap()
+        return commands
+
+    def close(self) -> None:
+        """Close the window. Further calls do nothing."""
+        self._surface.close()
+
+
+class NoMirror:
+    """OpenGL without a window."""
+
+    closing, resolution = False, None
+
+    def __init__(self, views: int):
+        self.egl = EglContext()
+        self.gl = self.egl.gl
+        self.texture = PictureTexture(self.gl, views=views)
+
+    def show_title(self, title: str) -> None:
+        """No-op."""
+
+    def show(self, world: WorldView) -> list[Command]:
+        """No-op: there is no window, and no command."""
+        return []
+
+    def close(self) -> None:
+        """Destroy the context. Further calls do nothing."""
+        self.egl.close()
+
+
+def open_mirror(scene: Scene, title: str, size: tuple[int, int], views: int) -> Mirror | NoMirror:
+    """A window where there is a screen for it, else none."""
+    return Mirror(scene, title, *size, views) if has_display() else NoMirror(views)
 
 
 class Headset:

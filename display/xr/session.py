@@ -15,9 +15,9 @@ import numpy as np
 from core.errors import BadInput
 from display.xr.actions import ActionSet, Controller
 from display.xr.hand_tracking import HandTrackers, InputSelector
-from display.xr.panel_layer import PanelContent, PanelLayer
 from display.xr.poses import matrix_of
 from display.xr.swapchains import EyeSwapchains
+from display.xr.wrist_panel import PanelContent, PanelLayer
 
 DEFAULT_HEAD_HEIGHT = 1.6  # [m] over the floor, until the head is tracked
 UNWORN_DELAY = 2.0  # [s] before the user is asked to put on a headset that has not been worn yet

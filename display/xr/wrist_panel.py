@@ -1,24 +1,41 @@
-"""The panel over the left hand: its pose, its buttons, and the right hand's interaction with it.
+"""The panel over the left hand: its pose, its buttons, the right hand's interaction with it, and its picture.
 
 It appears when the left palm turns to the face, or is pinned there by a button. The right hand points at it and pulls
-the trigger, or pushes a finger through it; then it grips nothing. Positions on the panel are in pixels.
+the trigger, or pushes a finger through it; then it grips nothing. Its buttons are some of those that the panel of the
+window has (display/panel.py), and pages that list the scenes. Positions on the panel are in pixels.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
+from time import monotonic
 
+import cv2
 import numpy as np
 
 from display import user_commands
-from display.edit.edit_steps import EDITS
+from display.panel import (
+    EDIT_BUTTONS,
+    Button,
+    Choice,
+    Panel,
+    buttons_of,
+    called,
+    demos,
+    play_section,
+    score_and_message,
+    spoken,
+    variants,
+)
 from display.protocol import WorldView
 from display.user_commands import Command
-from display.window.scene_menu import demos, spoken, variants
+from display.window.widgets import ACCENT, QUIET, font_file
 from display.xr.actions import PRESS_ABOVE, RELEASE_BELOW, Controller
 from display.xr.hand_joints import INDEX_TIP, PALM
 from display.xr.poses import pose_matrix
+from display.xr.swapchains import QuadLayer
 
 PIXELS = (800, 512)  # (width, height)
 PANEL_WIDTH = 0.28  # [m]
@@ -26,13 +43,27 @@ HEIGHT_OVER_HAND = 0.14  # [m] of its middle
 SHOW_ABOVE, HIDE_BELOW = 0.85, 0.6  # cosine of the angle between the palm and the direction to the eyes
 MAX_RAY = 3.0  # [m] to point at it
 MAX_PUSH_DEPTH = 0.06  # [m] behind the panel beyond which a finger has passed by
-SCENE_COLUMNS, SCENES_A_PAGE = 3, 10  # of four rows, in which "more" and "back" have their places
 CLEARANCE = 0.015  # [m] before the panel to which a finger must come back to push again
+SCENE_COLUMNS, SCENES_A_PAGE = 3, 10  # of four rows, in which "More" and "Back" have their places
+SCENES, MORE, BACK, LIGHT = "Scenes", "More", "Back", "Light"  # buttons that the window's panel does not have
+ROWS = (
+    ("Physics", "Transform", SCENES),
+    ("Undo", "Redo", "Copy", "Remove"),
+    ("Smaller", "Larger", "Turn", LIGHT),
+    ("Pause", "Reset", "Watch", "Picture", "Film"),
+)
+RATE_INTERVAL = 0.5  # [s] between two readings of the frame rate
+PANEL_BACKGROUND, BUTTON, HOVERED = (18, 20, 26), (46, 49, 57), (84, 88, 98)  # sRGB
+ACCENT_HOVERED = (252, 194, 116)
+LIGHT_TEXT, DARK_TEXT = (237, 240, 245), (20, 20, 20)
+ACCENT_8BIT, QUIET_8BIT = (tuple(round(255 * c) for c in colour[:3]) for colour in (ACCENT, QUIET))
+CORNER_RADIUS = 18  # [px]
+MESSAGE_SIZE, LABEL_SIZE, SMALL_SIZE, TINY_SIZE = 34, 34, 28, 24  # [px] of letters
 
 
 @dataclass(frozen=True)
-class Button:
-    """A button: `box` is left, top, width and height [px]."""
+class WristButton:
+    """A button's place: `box` is left, top, width and height [px]."""
 
     name: str
     box: tuple[int, int, int, int]
@@ -42,37 +73,26 @@ class Button:
         x, y, w, h = self.box
         return x <= u < x + w and y <= v < y + h
 
-    def command(self, world: WorldView) -> Command | None:
-        """The command that it gives; None of the light's, which is to be placed."""
-        match self.name:
-            case "physics" | "transform":
-                return user_commands.SetInteraction(self.name)
-            case "pause":
-                return user_commands.Pause(not world.paused)
-            case "reset":
-                return user_commands.Reset()
-            case "watch":
-                return user_commands.PlayDemo(not world.demo)
-            case "picture":
-                return user_commands.TakePicture()
-            case "film":
-                return user_commands.Film(world.film_seconds is None)
-        return EDITS.get(self.name) or scene_requests().get(self.name)
+
+def button_rows(rows: Sequence[Sequence[str]], columns: int = 0) -> list[WristButton]:
+    """Buttons in rows from the top, in each as wide as if it had `columns` of them."""
+    left, gap, height, placed = 20, 12, 84, []
+    for top, names in zip(range(116, PIXELS[1], height + gap), rows, strict=False):
+        count = columns or len(names)
+        width = (PIXELS[0] - 2 * left - gap * (count - 1)) // count
+        placed += [WristButton(name, (left + k * (width + gap), top, width, height)) for k, name in enumerate(names)]
+    return placed
 
 
-def button_row(top: int, *names: str, columns: int = 0) -> list[Button]:
-    """Buttons side by side, as wide as if there were `columns` of them."""
-    left, gap, height, columns = 20, 12, 84, columns or len(names)
-    width = (PIXELS[0] - 2 * left - gap * (columns - 1)) // columns
-    return [Button(name, (left + k * (width + gap), top, width, height)) for k, name in enumerate(names)]
+BUTTONS = button_rows(ROWS)
 
 
-BUTTONS = [
-    *button_row(116, "physics", "transform", "scenes"),
-    *button_row(212, "undo", "redo", "copy", "remove"),
-    *button_row(308, "smaller", "larger", "turn", "light"),
-    *button_row(404, "pause", "reset", "watch", "picture", "film"),
-]
+def described_buttons(world: WorldView, panel: Panel) -> dict[str, Button]:
+    """What the panel of the window has under these names: commands, and whether it is on."""
+    play = play_section(world)
+    (grip,) = (row for row in play.rows if isinstance(row, Choice))
+    found = {name: Button(name, grip.choose(name), on=name == grip.current) for name in grip.options}
+    return found | {b.name: b for b in EDIT_BUTTONS} | buttons_of([play, panel.keep_section(world)])
 
 
 @cache
@@ -83,30 +103,29 @@ def scene_requests() -> dict[str, user_commands.OpenScene]:
 
 
 @cache
-def pages() -> dict[str, list[Button]]:
+def pages() -> dict[str, list[WristButton]]:
     """Buttons by page: "" is the first, "scenes", "scenes 2" and so on list the scenes."""
     found, names, k = {"": BUTTONS}, list(scene_requests()), 1
     while names:
         rest = names[SCENES_A_PAGE:]
-        shown = [*names[:SCENES_A_PAGE], *(["more"] if rest else []), "back"]
+        shown = [*names[:SCENES_A_PAGE], *([MORE] if rest else []), BACK]
         rows = [shown[i : i + SCENE_COLUMNS] for i in range(0, len(shown), SCENE_COLUMNS)]
-        buttons = [b for k, row in enumerate(rows) for b in button_row(116 + 96 * k, *row, columns=SCENE_COLUMNS)]
-        found["scenes" if k == 1 else f"scenes {k}"] = buttons
+        found["scenes" if k == 1 else f"scenes {k}"] = button_rows(rows, SCENE_COLUMNS)
         names, k = rest, k + 1
     return found
 
 
 def page_after(page: str, button: str) -> str:
     """The page to show once a button of a page was pressed."""
-    if button == "scenes" and "scenes" in pages():
+    if button == SCENES and "scenes" in pages():
         return "scenes"
-    if button == "more":
+    if button == MORE:
         order = list(pages())
         return order[order.index(page) + 1]
     return ""
 
 
-def button_at(u: float, v: float, page: str = "") -> Button | None:
+def button_at(u: float, v: float, page: str = "") -> WristButton | None:
     """The button at a point of the panel [px]."""
     return next((b for b in pages()[page] if b.contains(u, v)), None)
 
@@ -172,8 +191,9 @@ class WristPanel:
     def __init__(self):
         self.pinned = self.clicked = self.placing = False
         self.pose: np.ndarray | None = None
-        self.hovered: Button | None = None
+        self.hovered: WristButton | None = None
         self.page = ""
+        self.described = Panel()
         self._facing = self._trigger = self._captured = False
         self._trigger_places = False  # the light stays where it is when the trigger is released
         self._finger_before: float | None = None  # [m] of the fingertip; None until it is clear of the panel
@@ -195,11 +215,10 @@ class WristPanel:
         began, self._trigger = pulls and not self._trigger, pulls
         button, commands = self._pressed(right, began), []
         if button is not None:
-            self.clicked, command = True, button.command(world)
+            self.clicked = True
+            commands += self._commands(button.name, world)
             self.page = page_after(self.page, button.name)
-            if command is not None:
-                commands.append(command)
-            elif button.name == "light" and world.light is not None:
+            if button.name == LIGHT and world.light is not None:
                 self.placing, self._trigger_places = True, began
         if began and not self._captured and right.aim is not None and world.editable:
             aim = world_from_play @ right.aim
@@ -212,6 +231,13 @@ class WristPanel:
         self._captured = self._captured and pulls
         return right, commands
 
+    def _commands(self, name: str, world: WorldView) -> Sequence[Command]:
+        """The commands of a button; none of the light's, which is to be placed, and of those that turn a page."""
+        if name in scene_requests():
+            return [scene_requests()[name]]
+        button = described_buttons(world, self.described).get(name)
+        return [] if button is None else button.commands
+
     def _update_pose(self, left: Controller, head: np.ndarray) -> None:
         if left.grip is None:  # it stays where it is
             self.pose = self.pose if self.pinned else None
@@ -220,7 +246,7 @@ class WristPanel:
         self._facing = not busy and palm_to_face(left, head) > (HIDE_BELOW if self._facing else SHOW_ABOVE)
         self.pose = panel_pose(left.grip, head) if self.pinned or self._facing else None
 
-    def _pressed(self, right: Controller, began: bool) -> Button | None:
+    def _pressed(self, right: Controller, began: bool) -> WristButton | None:
         """The button that the right hand has just pressed, by its ray or by its finger."""
         self.hovered = None
         if self.pose is None:
@@ -234,7 +260,7 @@ class WristPanel:
                 return self.hovered
         return self._poked(fingertip(right))
 
-    def _poked(self, tip: np.ndarray | None) -> Button | None:
+    def _poked(self, tip: np.ndarray | None) -> WristButton | None:
         if tip is None:
             return None
         u, v, distance = project_to_panel(self.pose, tip)
@@ -264,3 +290,133 @@ class WristPanel:
             return []
         position = (world_from_play @ right.grip)[:3, 3]
         return [user_commands.SetLight(replace(world.light, position=tuple(position.tolist())))]
+
+
+@dataclass(frozen=True)
+class PanelContent:
+    """Content of the panel; equal contents look the same."""
+
+    message: str = ""
+    note: str = ""
+    warns: bool = False
+    rate: str = ""
+    lit: frozenset = frozenset()  # names of the buttons that are on
+    hovered: str | None = None
+    page: str = ""
+
+    @classmethod
+    def of(cls, world: WorldView, panel: WristPanel) -> PanelContent:
+        """The content for a world as it is."""
+        bodies, k, seconds = world.bodies(), world.selected, world.film_seconds
+        lit = {name for name, button in described_buttons(world, panel.described).items() if button.on}
+        selected = k is not None and k < len(bodies)
+        note = called(bodies[k].name) if selected else "Hold a body or point at it to select it."
+        news = "The light follows your hand until you release the trigger." if panel.placing else ""
+        news = news or world.opening or world.notice
+        film = "" if seconds is None else f"film {int(seconds) // 60}:{int(seconds) % 60:02d}   "
+        return cls(
+            message="   ".join(filter(None, score_and_message(world))),
+            note=news or note,
+            warns=bool(news),
+            rate=f"{film}{world.timings.recent_fps():.0f} fps",
+            lit=frozenset(lit | {LIGHT} if panel.placing else lit),
+            hovered=panel.hovered.name if panel.hovered else None,
+            page=panel.page,
+        )
+
+
+class PanelLayer:
+    """Quad layer of the panel; painted when its content has changed."""
+
+    def __init__(self, runtime, session, gl):
+        self._quad = QuadLayer(runtime, session, gl, PIXELS, PANEL_WIDTH)
+        self._shown: PanelContent | None = None
+        self._rate_read = 0.0  # [s] of monotonic()
+        paint(PanelContent())  # reads the font
+
+    def show(self, content: PanelContent) -> None:
+        """Let the panel look like this; its frame rate is updated less often than it changes."""
+        now = monotonic()
+        if self._shown is not None and now - self._rate_read < RATE_INTERVAL:
+            content = replace(content, rate=self._shown.rate)
+        else:
+            self._rate_read = now
+        if content != self._shown:
+            self._quad.draw(paint(content))
+            self._shown = content
+
+    def layer(self, space, pose: np.ndarray):
+        """The composition layer, at `pose` (4, 4) in `space`."""
+        return self._quad.layer(space, pose)
+
+    def close(self) -> None:
+        """Give the textures back."""
+        self._quad.close()
+
+
+@cache
+def font():
+    """Roboto, which comes with ImGui."""
+    return cv2.FontFace(str(font_file()))
+
+
+@lru_cache(maxsize=256)
+def text_width(text: str, size: int) -> int:
+    """Width of a line of text [px]."""
+    return cv2.getTextSize(PIXELS, text, (0, 0), font(), size)[2]
+
+
+@lru_cache(maxsize=64)
+def shortened(text: str, size: int, max_width: int) -> str:
+    """As much of a text as fits into `max_width` [px], with dots where it was cut."""
+    if text_width(text, size) <= max_width:
+        return text
+    while text and text_width(text + "...", size) > max_width:
+        text = text[:-1]
+    return text.rstrip() + "..."
+
+
+def write(picture: np.ndarray, text: str, left: int, middle: int, size: int, colour) -> None:
+    """Write a line of text on a picture (H, W, 3) uint8, its small letters around the height `middle` [px]."""
+    cv2.putText(picture, text, (left, middle + round(0.36 * size)), colour, font(), size)
+
+
+def fill_rounded(picture: np.ndarray, box: tuple[int, int, int, int], colour) -> None:
+    """Fill a box (left, top, width, height) [px] of a picture with round corners."""
+    x, y, w, h = box
+    r = CORNER_RADIUS
+    cv2.rectangle(picture, (x + r, y), (x + w - r - 1, y + h - 1), colour, -1)
+    cv2.rectangle(picture, (x, y + r), (x + w - 1, y + h - r - 1), colour, -1)
+    for corner in ((a, b) for a in (x + r, x + w - r - 1) for b in (y + r, y + h - r - 1)):
+        cv2.circle(picture, corner, r - 1, colour, -1, cv2.LINE_AA)  # its soft edge is one pixel more
+
+
+def paint_button(picture: np.ndarray, button: WristButton, *, lit: bool, hovered: bool) -> None:
+    """Paint a button on the panel (H, W, 3) uint8."""
+    x, y, w, h = button.box
+    fill_rounded(picture, button.box, (ACCENT_8BIT, ACCENT_HOVERED)[hovered] if lit else (BUTTON, HOVERED)[hovered])
+    size = next((s for s in (LABEL_SIZE, SMALL_SIZE) if text_width(button.name, s) < w - 16), TINY_SIZE)
+    text = shortened(button.name, size, w - 16)
+    write(picture, text, x + (w - text_width(text, size)) // 2, y + h // 2, size, DARK_TEXT if lit else LIGHT_TEXT)
+
+
+@cache
+def coverage() -> np.ndarray:
+    """Alpha of the panel, (H, W) uint8."""
+    alpha = np.zeros(PIXELS[::-1], np.uint8)
+    fill_rounded(alpha, (0, 0, *PIXELS), 255)
+    return alpha
+
+
+def paint(content: PanelContent) -> np.ndarray:
+    """The panel, (H, W, 4) uint8 RGBA, colours times alpha, row 0 on top."""
+    picture, width = np.zeros((*PIXELS[::-1], 3), np.uint8), PIXELS[0]
+    fill_rounded(picture, (0, 0, *PIXELS), PANEL_BACKGROUND)
+    rate = text_width(content.rate, SMALL_SIZE)
+    write(picture, shortened(content.message, MESSAGE_SIZE, width - rate - 80), 28, 44, MESSAGE_SIZE, LIGHT_TEXT)
+    write(picture, content.rate, width - rate - 24, 44, SMALL_SIZE, ACCENT_8BIT)
+    colour = ACCENT_8BIT if content.warns else QUIET_8BIT
+    write(picture, shortened(content.note, SMALL_SIZE, width - 60), 28, 86, SMALL_SIZE, colour)
+    for button in pages()[content.page]:
+        paint_button(picture, button, lit=button.name in content.lit, hovered=button.name == content.hovered)
+    return np.dstack([picture, coverage()])

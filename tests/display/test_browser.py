@@ -30,7 +30,7 @@ def ball(tmp_path_factory):
 
 
 def reset(ball, page) -> None:
-    page.send("command", {"reset": True})
+    page.send("panel", "Play", "Reset", True, False)
     page.until(lambda: page.state.get("message") == "Throw the red ball.")
     ball.until(lambda f: f["ball"] == [0.0, 0.0, 0.0])
 
@@ -74,9 +74,9 @@ def test_a_drag_grabs_and_throws_and_keys_act_as_in_the_window(ball):
         reset(ball, page)
         page.send("key", "Space", " ", True, False, 3)
         ball.until(lambda f: f["paused"])
-        page.until(lambda: page.state["paused"])
+        page.until(lambda: "Resume" in json.dumps(page.state["section Play"]))
         page.send("key", "Escape", "Escape", True, False, 3)  # a page does not end the program
-        page.send("command", {"pause": False})
+        page.send("panel", "Play", "Pause", True, False)
         ball.until(lambda f: not f["paused"])
         assert any(header["stamp"] is not None for header, *_ in page.pictures)
 
@@ -108,7 +108,7 @@ def test_a_tab_that_closes_lets_go_and_the_next_one_plays(ball):
             first.send("button", "left", True, *MIDDLE, 1)
             ball.until(lambda f: f["held"])
             second.send("button", "left", False, *MIDDLE, 1)  # not its to let go
-            second.send("command", {"pause": True})
+            second.send("panel", "Play", "Pause", True, False)
             assert ball.after(5)["held"] and not ball.frames()[-1]["paused"]
             second.send("take")
             ball.until(lambda f: not f["held"])
@@ -137,9 +137,9 @@ def test_a_user_of_a_browser_plays_and_another_one_watches(ball, tmp_path):
         page.drag((560, 220), (700, 200), press=False, seconds=0.2)
         ball.until(lambda f: not f["held"] and f["ball"][0] > held["ball"][0])
         page.until("get('message').textContent === 'Well thrown!'")
-        page.click("get('reset')")
+        page.click("document.querySelector('[data-name=Reset]')")
         ball.until(lambda f: f["ball"] == [0.0, 0.0, 0.0])
-        page.click("get('interaction').children[1]")
+        page.click("document.querySelector('[data-name=Transform]')")
         assert ball.until(lambda f: f["interaction"] == "transform")
         page.key("t", "KeyT")
         ball.until(lambda f: f["interaction"] == "physics")

@@ -11,8 +11,7 @@ from core.vocabulary import Hand, Light
 from display import user_commands
 from display.edit.edit_steps import SCALE_STEP, TURN_STEP
 from display.window.controls import Controls
-from display.window.mouse_hand import MAX_SPEED, MouseHand
-from display.window.orbit_camera import MAX_PITCH, OrbitCamera
+from display.window.mouse import MAX_PITCH, MAX_SPEED, MouseHand, OrbitCamera
 from tests.support.fake_world import RADIUS, BallWorld, fake_scene
 
 WIDTH, HEIGHT = 320, 180

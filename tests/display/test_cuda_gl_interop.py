@@ -6,7 +6,7 @@ import pytest
 from core.errors import BadInput
 from display import picture as module
 from display.picture import PictureTexture
-from display.window.cuda_gl_interop import Copy2D, NoInterop
+from display.window.gl_context import Copy2D, NoInterop
 
 
 class Texture:

@@ -192,13 +192,13 @@ def test_the_panel_over_the_left_hand_is_seen_and_pressed_by_the_ray(play):
     play.player.send()
     play.after(2)
     play.hold(right, lambda f: "select" in f["commands"], trigger=1.0)
-    play.point("copy")
+    play.point("Copy")
     copied = play.hold(right, lambda f: len(f["bodies"]) == 4, trigger=1.0)["bodies"]
     assert copied[3]["name"] == copied[RED]["name"] and not any(b["held"] for b in copied)
-    play.point("undo")
+    play.point("Undo")
     play.hold(right, lambda f: len(f["bodies"]) == 3, trigger=1.0)
 
-    play.point("light")
+    play.point("Light")
     before, target = play.after()["light"], (0.2, 1.5, -0.3)
     there = (play.world_from_play @ [*target, 1.0])[:3]
     right.trigger = 1.0
@@ -210,7 +210,7 @@ def test_the_panel_over_the_left_hand_is_seen_and_pressed_by_the_ray(play):
     right.trigger = 0.0
     play.player.send()
     play.after(2)
-    play.point("reset")
+    play.point("Reset")
     reset = play.hold(right, lambda f: "reset" in f["commands"], trigger=1.0)
     assert distance(reset["light"], there) < 0.1 and reset["time"] < 0.3
     shown = play.accent()

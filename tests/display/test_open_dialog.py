@@ -5,10 +5,10 @@ import pytest
 from assets.asset import Asset
 from assets.formats.ply import write_ply
 from assets.library import find_asset
+from display.panel import demos, line_of, picture_file, variants
 from display.preferences import Preferences
 from display.user_commands import AddBody, OpenScene, SwapRoom
-from display.window.open_dialog import OpenDialog
-from display.window.scene_menu import demos, line_of, picture_file, variants
+from display.window.dialogs import OpenDialog
 from tests.support.samples import some_gaussians
 
 

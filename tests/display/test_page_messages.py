@@ -6,8 +6,10 @@ import pytest
 
 from core.errors import BadInput
 from display import user_commands
+from display.panel import Panel, commands_of
 from display.web.browser import pressed_key
-from display.web.page_messages import read_message
+from display.web.page_messages import read_message, world_state
+from tests.support.fake_world import BallWorld, fake_scene
 
 
 @pytest.mark.parametrize(
@@ -17,9 +19,9 @@ from display.web.page_messages import read_message
         (["button", "left", True, 0, 1, 3], ("button", "left", True, 0.0, 1.0, 3.0)),
         (["shown", 7, None], ("shown", 7.0, None)),
         (["blur"], ("blur",)),
-        (["resolution", "1/2"], ("resolution", "1/2")),
-        (["command", {"pause": True}], ("command", user_commands.Pause(True))),
-        (["command", {"material": [None, "jelly"]}], ("command", user_commands.SetMaterial(None, "jelly"))),
+        (["panel", "Play", "Pause", True, False], ("panel", "Play", "Pause", True, False)),
+        (["panel", "Body", "density", 20, True], ("panel", "Body", "density", 20.0, True)),
+        (["open", "manipulation", {"animal": "fox"}], ("open", "manipulation", {"animal": "fox"})),
     ],
 )
 def test_messages_are_read(message, values):
@@ -45,16 +47,12 @@ def test_messages_are_read(message, values):
         '["key", "' + 50 * "x" + '", "a", true, false, 1]',
         '["unknown"]',
         '[["move"], 1, 2, 3]',
-        '["resolution", 0.5]',
-        '["edit", "Format"]',
-        '["command", {"open": "/etc/passwd"}]',
-        '["command", {"pause": true, "reset": true}]',
-        '["command", {"pause": false, "frame": 3}]',
-        '["command", {"reset": false}]',
-        '["command", {"light": {"Light": {}}}]',
-        '["command", {"material": [null, {"Material": {"young": "soft"}}]}]',
-        '["slide", "body", "stiffness", 1e99, true]',
-        '["slide", "files", "stiffness", 1, true]',
+        '["panel", "Body", "stiffness", 1e99, true]',
+        '["panel", "Body", "stiffness", null, true]',
+        '["panel", "Body", "stiffness", {"value": 1}, true]',
+        '["panel", "Body", "stiffness", 1]',
+        '["open", "manipulation", {"animal": 3}]',
+        '["open", "manipulation", {' + ", ".join(f'"{k}": "a"' for k in range(11)) + "}]",
         "[" * 2000,
         b'["blur"]',
     ],
@@ -62,6 +60,45 @@ def test_messages_are_read(message, values):
 def test_malformed_messages_are_refused(message):
     with pytest.raises(BadInput):
         read_message(message)
+
+
+def test_rows_of_the_panel_take_what_they_show_and_nothing_else():
+    world, panel = BallWorld(fake_scene()), Panel()
+    world.selected = 0
+
+    def sent(section, name, value, continued=False):
+        return list(commands_of(panel.sections(world), section, name, value, continued))
+
+    assert sent("Play", "Pause", True) == [user_commands.Pause(True)]
+    assert sent("Play", "interaction", "Transform") == [user_commands.SetInteraction("transform")]
+    assert sent("Body", "material", "jelly") == [user_commands.SetMaterial(0, "jelly")]
+    (moved,) = sent("Body", "stiffness", 1e12, True)
+    assert moved.material.young == 1e8 and moved.continued, "within the slider's ends"
+    assert sent("Performance", "resolution", "1/2") == [] and panel.scale == 0.5
+    assert sent("Keep", "export", "export .obj") == sent("Keep", "selected body only", True) == []
+    assert sent("Keep", "Export", True) == [user_commands.Export("obj", 0)]
+    for wrong in (
+        ("Play", "Pause", False),
+        ("Play", "Format", True),
+        ("Files", "Pause", True),
+        ("Body", "material", "/etc/passwd"),
+        ("Body", "material", 3.0),
+        ("Body", "stiffness", "soft"),
+        ("Performance", "resolution", 0.5),
+        ("Keep", "with shadows", 1.0),
+    ):
+        assert sent(*wrong) == []
+    assert panel.scale == 0.5
+
+
+def test_a_page_is_told_all_sections_as_plain_data():
+    world = BallWorld(fake_scene())
+    world.selected = 0
+    state = json.loads(json.dumps(world_state(world, Panel()), allow_nan=False))
+    assert state["sections"] == ["Play", "Body", "World", "Light", "Keep", "Performance"]
+    assert state["section Body"]["label"] == "ball" and not state["section Body"]["folded"]
+    kinds = {row["kind"] for title in state["sections"] for row in state[f"section {title}"]["rows"]}
+    assert kinds == {"ButtonGrid", "Choice", "Slider", "Toggle", "Table"}
 
 
 @pytest.mark.parametrize(

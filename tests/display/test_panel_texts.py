@@ -3,11 +3,9 @@
 import pytest
 
 from core.material import MATERIALS
-from display.window.panel.body_section import called, changed, pascals, sliders
-from display.window.panel.first_hint import hints
-from display.window.panel.score_line import DEMONSTRATION, PAUSED, lines_of
-from display.window.panel.slider import Slider
-from display.window.panel.theme import ACCENT
+from display.panel import called, changed, material_sliders, pascals
+from display.window.overlay import DEMONSTRATION, PAUSED, hints, lines_of
+from display.window.widgets import ACCENT
 from tests.support.fake_view import FakeView
 from tests.support.fake_world import BallWorld, fake_scene
 
@@ -36,10 +34,9 @@ def test_what_slides_keeps_its_ratio_to_what_sticks():
 
 def test_rigid_bodies_have_only_the_sliders_that_mean_something():
     world = BallWorld(fake_scene())
-    world.selected = 0
 
     def names() -> list[str]:
-        return [slider.name for slider in sliders(world) if isinstance(slider, Slider)]
+        return [slider.name for slider in material_sliders(world, 0)]
 
     assert names() == ["stiffness", "density", "friction", "damping"]
     world.stuff = world.stuff[0], "rigid"

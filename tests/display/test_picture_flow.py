@@ -2,7 +2,7 @@
 
 import pytest
 
-from display.web.picture_flow import MAX_UNDER_WAY, QUALITIES, PictureFlow
+from display.web.page_server import MAX_UNDER_WAY, QUALITIES, PictureFlow
 
 BYTES = {35: 20_000, 50: 30_000, 65: 40_000, 80: 60_000}  # of a picture of 960x540
 

@@ -37,7 +37,7 @@ def test_a_ring_is_thrown_and_another_scene_opened(tmp_path):
             page.drag(rim - [0, 60], rim + [50, -90], seconds=0.4, press=False)
             play.until(lambda f: not f["bodies"][YELLOW]["held"])
             page.until("state.fps === null", 300)
-            assert page.value("state.selected") == "ring yellow"
+            assert page.value("state['section Body'].label") == "ring yellow"
             page.value("send('open', 'sandbox', {})")
             play.until(lambda f: len(f["bodies"]) == 1)
             page.until("hello.playing === 'sandbox' && !state.loading")

@@ -15,8 +15,8 @@ from display import user_commands
 from display.protocol import Frame, Line
 from display.viewed_file import UP_AXES, ViewedFile, scene_around
 from display.viewer import BACKGROUNDS, Viewer
-from display.window.line_overlay import visible_part
-from display.window.panel.file_section import sliders
+from display.panel import crop_sliders
+from display.window.overlay import visible_part
 
 CAMERA = perspective(96, 64, 0.9, look_at((0, 0, 4), (0, 0, 0)))
 
@@ -74,7 +74,7 @@ def test_a_crop_leaves_what_lies_in_it_and_is_written(file, tmp_path):
 
 def test_sliders_move_one_side_each(file):
     world = N(file=file)
-    made = {slider.name: slider for slider in sliders(world)}
+    made = {slider.name: slider for slider in crop_sliders(world)}
     assert list(made) == ["x from", "x to", "y from", "y to", "z from", "z to"]
     crop = made["y from"].command(0.25, False)
     assert crop.low[1] == 0.25 and np.allclose(crop.high, file.bounds.high)

@@ -16,7 +16,7 @@ from core.camera import look_at, perspective, project
 from core.errors import BadInput
 from display.adaptive_resolution import WindowResolution
 from display.window.gl_window import has_display
-from display.window.orbit_camera import OrbitCamera
+from display.window.mouse import OrbitCamera
 from display.window.window import Window
 from tests.support.fake_world import RADIUS, fake_scene
 from tests.support.watched import Watched
@@ -341,7 +341,7 @@ def test_time_is_caught_up_with_where_simulation_is_faster_than_it(monkeypatch, 
     orbit = OrbitCamera((0, 0, 2), (0, 0, 0), 1.0)
     window._surface = MagicMock(frame_size=(96, 54), closing=False, asleep=lambda: False, begin=list)
     window._controls = MagicMock(orbit=orbit, quit=False)
-    window._panel, window._resolution = MagicMock(resolution=None), WindowResolution()
+    window._panel, window._resolution = MagicMock(panel=MagicMock(scale=None)), WindowResolution()
     window._camera, window._last_view, window._dropped, window._time = orbit.camera(96, 54), None, 0.0, 0.0
     window._commands, window._resized, window._cursor = [], ((96, 54), 0.0), (0.0, 0.0)
     window._handle = lambda events, world: []

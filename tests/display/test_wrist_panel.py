@@ -11,22 +11,26 @@ from core.vocabulary import Light
 from display import user_commands
 from display.xr.actions import FINGER_LENGTH, Controller
 from display.xr.hand_joints import HandJoints
-from display.xr.panel_layer import PANEL_BACKGROUND, PanelContent, paint
 from display.xr.poses import pose_matrix
 from display.xr.wrist_panel import (
     BUTTONS,
     HEIGHT_OVER_HAND,
+    PANEL_BACKGROUND,
     PIXELS,
+    PanelContent,
     WristPanel,
     button_at,
     page_after,
     pages,
+    paint,
     panel_pose,
     point_on_panel,
     project_to_panel,
     ray_hit,
+    scene_requests,
 )
 from tests.support.fake_view import FakeView
+from tests.support.fake_world import fake_scene
 
 
 def at(x, y, z) -> np.ndarray:
@@ -45,6 +49,7 @@ LIGHT = Light((0.0, 2.0, 0.0))
 def world():
     bodies = [N(name="ring_red"), N(name="ring_blue")]
     return FakeView(
+        scene=fake_scene(),
         score=2,
         message="Score: see there.",
         light=LIGHT,
@@ -127,19 +132,19 @@ def test_a_ray_meets_the_pixel_that_it_points_at_from_before_the_panel_and_not_f
 @pytest.mark.parametrize(
     ("name", "command"),
     [
-        ("undo", user_commands.Undo()),
-        ("redo", user_commands.Redo()),
-        ("copy", user_commands.Duplicate()),
-        ("remove", user_commands.Remove()),
-        ("larger", user_commands.Rescale(None, 1.25)),
-        ("smaller", user_commands.Rescale(None, 0.8)),
-        ("physics", user_commands.SetInteraction("physics")),
-        ("transform", user_commands.SetInteraction("transform")),
-        ("pause", user_commands.Pause(True)),
-        ("reset", user_commands.Reset()),
-        ("watch", user_commands.PlayDemo(True)),
-        ("picture", user_commands.TakePicture()),
-        ("film", user_commands.Film(True)),
+        ("Undo", user_commands.Undo()),
+        ("Redo", user_commands.Redo()),
+        ("Copy", user_commands.Duplicate()),
+        ("Remove", user_commands.Remove()),
+        ("Larger", user_commands.Rescale(None, 1.25)),
+        ("Smaller", user_commands.Rescale(None, 0.8)),
+        ("Physics", user_commands.SetInteraction("physics")),
+        ("Transform", user_commands.SetInteraction("transform")),
+        ("Pause", user_commands.Pause(True)),
+        ("Reset", user_commands.Reset()),
+        ("Watch", user_commands.PlayDemo(True)),
+        ("Picture", user_commands.TakePicture()),
+        ("Film", user_commands.Film(True)),
     ],
 )
 def test_the_trigger_presses_what_the_ray_is_on_once_and_grips_nothing(panel, world, name, command):
@@ -151,20 +156,20 @@ def test_the_trigger_presses_what_the_ray_is_on_once_and_grips_nothing(panel, wo
 
 
 def test_turning_is_about_the_vertical(panel, world):
-    ((command,), _) = advance(panel, world, pointing(panel, "turn", pinch=0.9))
+    ((command,), _) = advance(panel, world, pointing(panel, "Turn", pinch=0.9))
     assert isinstance(command, user_commands.Rotate) and command.rotation[1] == command.rotation[3] == 0.0
 
 
 def test_a_trigger_pulled_elsewhere_presses_nothing_here_and_holds_on(panel, world):
     assert advance(panel, world, away(1.0)) == ([], 1.0)
-    assert advance(panel, world, pointing(panel, "reset", pinch=1.0)) == ([], 1.0)
+    assert advance(panel, world, pointing(panel, "Reset", pinch=1.0)) == ([], 1.0)
     assert panel.hovered is None
 
 
 def test_a_finger_presses_by_going_through_from_the_front(panel, world):
     def pressed(*distances):
         """True if the finger of a controller, which points with the hand, presses at these distances."""
-        fingers = [pointing(panel, "copy", d + FINGER_LENGTH) for d in distances]
+        fingers = [pointing(panel, "Copy", d + FINGER_LENGTH) for d in distances]
         return [advance(panel, world, finger)[0] == [user_commands.Duplicate()] for finger in fingers]
 
     assert pressed(0.1, 0.02, 0.005, -0.002, -0.02, 0.005, -0.01) == [False] * 3 + [True] + [False] * 3
@@ -175,7 +180,7 @@ def test_a_finger_presses_by_going_through_from_the_front(panel, world):
 
 def test_a_tracked_finger_presses(panel, world):
     def hand(distance):
-        c = pointing(panel, "redo", distance)
+        c = pointing(panel, "Redo", distance)
         joints = HandJoints(np.tile(c.grip[:3, 3], (26, 1)), np.tile(np.eye(3), (26, 1, 1)), np.zeros(26))
         return replace(c, aim=None, joints=joints)
 
@@ -183,7 +188,7 @@ def test_a_tracked_finger_presses(panel, world):
 
 
 def test_the_light_follows_the_hand_until_the_trigger_is_released(panel, world):
-    assert advance(panel, world, pointing(panel, "light", pinch=1.0))[1] == 0.0 and panel.placing
+    assert advance(panel, world, pointing(panel, "Light", pinch=1.0))[1] == 0.0 and panel.placing
     (command,), pinch = advance(panel, world, away(1.0))
     assert command == user_commands.SetLight(replace(LIGHT, position=command.light.position)) and pinch == 0.0
     assert_allclose(command.light.position, (WORLD_FROM_PLAY @ AWAY)[:3, 3])
@@ -192,15 +197,15 @@ def test_the_light_follows_the_hand_until_the_trigger_is_released(panel, world):
 
 def test_a_light_taken_with_a_finger_waits_for_the_trigger(panel, world):
     for distance in (0.03, -0.001):
-        advance(panel, world, pointing(panel, "light", distance + FINGER_LENGTH))
+        advance(panel, world, pointing(panel, "Light", distance + FINGER_LENGTH))
     assert panel.placing
     for pinch, follows in ((0.0, True), (0.0, True), (1.0, True), (1.0, True), (0.0, False), (0.0, False)):
         assert bool(advance(panel, world, away(pinch))[0]) == follows
 
 
 def test_without_a_light_there_is_none_to_place(panel, world):
-    dark = FakeView(editable=True)
-    assert advance(panel, dark, pointing(panel, "light", pinch=1.0)) == ([], 0.0) and not panel.placing
+    dark = FakeView(scene=fake_scene(), editable=True)
+    assert advance(panel, dark, pointing(panel, "Light", pinch=1.0)) == ([], 0.0) and not panel.placing
     assert advance(panel, dark, away(1.0))[0] == []
 
 
@@ -241,18 +246,18 @@ def test_the_button_keeps_it_and_takes_it_away(panel, world):
 
 def test_what_it_shows(panel, world):
     content = PanelContent.of(world, panel)
-    assert content.message == "2   Score: see there." and content.rate == "72 fps" and content.lit == {"physics"}
+    assert content.message == "2   Score: see there." and content.rate == "72 fps" and content.lit == {"Physics"}
     assert "Hold" in content.note and not content.warns
     world.selected, world.paused, world.interaction = 1, True, "transform"
     content = PanelContent.of(world, panel)
-    assert content.note == "ring_blue" and content.lit == {"transform", "pause"}
+    assert content.note == "ring blue" and content.lit == {"Transform", "Pause"}
     world.notice = "There is no room."
     content = PanelContent.of(world, panel)
     assert content.note == "There is no room." and content.warns
 
 
 def test_its_picture_is_readable_and_says_what_is_on():
-    content = PanelContent("0 of 3 rings.", "ring_red", False, "90 fps", frozenset({"physics"}), None)
+    content = PanelContent("0 of 3 rings.", "ring_red", False, "90 fps", frozenset({"Physics"}), None)
     plain = paint(content)
     assert plain.shape == (*PIXELS[::-1], 4) and plain.dtype == np.uint8
     assert plain[0, 0, 3] == 0 and plain[250, 400, 3] == 255
@@ -261,28 +266,28 @@ def test_its_picture_is_readable_and_says_what_is_on():
         x, y, w, h = b.box
         inside = plain[y : y + h, x : x + w, :3].astype(int)
         assert np.ptp(inside[h // 4 : -h // 4].mean(2)) > 100, f"{b.name} has no letters"
-        assert (inside[8, w // 2] > [200, 120, 0]).all() == (b.name == "physics")
+        assert (inside[8, w // 2] > [200, 120, 0]).all() == (b.name == "Physics")
         outside = inside[:, [2, w - 3]].mean(2)
         assert abs(outside[h // 2].mean() - inside[8, w // 2].mean()) < 3, f"{b.name}'s letters reach its edge"
     assert (plain[6, 300, :3] == PANEL_BACKGROUND).all()
-    x, y, w, h = BY_NAME["undo"].box
-    changed = (plain != paint(replace(content, hovered="undo"))).any(2)
+    x, y, w, h = BY_NAME["Undo"].box
+    changed = (plain != paint(replace(content, hovered="Undo"))).any(2)
     assert changed[y : y + h, x : x + w].mean() > 0.9 and not changed[:y].any()
     assert (paint(replace(content, message="x" * 300)) != plain).any()  # it is cut, and fits
     assert (paint(content) == plain).all()
 
 
 def test_scenes_are_listed_on_pages_of_their_own():
-    """Each is a button that opens it; "back" leads to the first page."""
-    page, seen = page_after("", "scenes"), []
+    """Each is a button that opens it; "Back" leads to the first page."""
+    page, seen = page_after("", "Scenes"), []
     while page:
         names = [b.name for b in pages()[page]]
-        assert names[-1] == "back" and page_after(page, "back") == ""
+        assert names[-1] == "Back" and page_after(page, "Back") == ""
         for b in pages()[page]:
             x, y, w, h = b.box
             assert x + w <= PIXELS[0] and y + h <= PIXELS[1]
-        requests = [b.command(FakeView()) for b in pages()[page] if b.name not in ("more", "back")]
+        requests = [scene_requests()[b.name] for b in pages()[page] if b.name not in ("More", "Back")]
         seen += [(r.name, *r.options.values()) for r in requests]
-        page = page_after(page, "more") if "more" in names else ""
+        page = page_after(page, "More") if "More" in names else ""
     assert {("ring_toss",), ("manipulation", "bear"), ("manipulation", "fox")} <= set(seen)
     assert paint(PanelContent(page="scenes")).shape == paint(PanelContent()).shape

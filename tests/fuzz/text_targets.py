@@ -80,8 +80,9 @@ def read_preferences(path: Path) -> None:
 MESSAGES = (
     ["move", 0.5, 0.4, 1000],
     ["button", "left", True, 0.5, 0.5, 1000],
-    ["slide", "light", "strength", 0.5, False],
-    ["command", {"pause": True}],
+    ["panel", "Light", "shadow", 0.5, False],
+    ["panel", "Play", "Pause", True, False],
+    ["open", "manipulation", {"animal": "fox"}],
     ["key", "KeyP", "p", True, False, 10],
     ["shown", 4, None],
 )

@@ -12,10 +12,10 @@ from assets.splat_files import read_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from display import user_commands
+from display.panel import crop_sliders
 from display.protocol import Frame, Line
 from display.viewed_file import UP_AXES, ViewedFile, scene_around
 from display.viewer import BACKGROUNDS, Viewer
-from display.panel import crop_sliders
 from display.window.overlay import visible_part
 
 CAMERA = perspective(96, 64, 0.9, look_at((0, 0, 4), (0, 0, 0)))

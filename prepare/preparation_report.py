@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import json
-import math
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from assets.asset import Asset
+from core.report import Chart, Section, Table, html_page
 from core.tetmesh import enclosed_volume, face_components, tet_volumes
 from prepare.cage.component_cages import OPAQUE
 from prepare.cage.embedding_hosts import DeviceLocator
@@ -33,7 +31,6 @@ from prepare.report_pictures import (
     camera_for,
     cells_picture,
     enclosure_picture,
-    png_of,
     splat_picture,
     surface_picture,
 )
@@ -72,7 +69,7 @@ def texts_of(name: str, numbers: dict, pictures: dict[str, np.ndarray], notes: t
     """The page and the JSON text of the numbers and pictures of `examine`."""
     numbers = dict(numbers)
     numbers["notes"] = list(notes)
-    return html_of(name, numbers, pictures), json.dumps(numbers, indent=2) + "\n"
+    return page_of(name, numbers, pictures), json.dumps(numbers, indent=2) + "\n"
 
 
 def examine(
@@ -152,113 +149,59 @@ def surfaces_of(solids: list[ComponentSolid]) -> tuple[np.ndarray, np.ndarray]:
 
 
 CAPTIONS = {
-    "up": ("Which way is up?", "The guess is not sure. Prepare again with the option under the right picture."),
-    "splat": ("Splat", "The Gaussians that were kept, drawn by the program's renderer."),
-    "cells": ("Filled cells", "Cut open. Clay: dense Gaussians; blue: the interior they enclose."),
-    "surface": ("Surface", "Where the level set is zero, by marching cubes."),
-    "cage": ("Cage", "The tetrahedra, cut open. Green: the cut."),
-    "enclosure": ("Enclosure", "Opaque Gaussians in the cage, the deeper the darker. Red: those outside."),
+    "up": "Which way is up? The guess is not sure: prepare again with the option under the right picture.",
+    "splat": "Splat: the Gaussians that were kept, drawn by the program's renderer.",
+    "cells": "Filled cells, cut open. Clay: dense Gaussians; blue: the interior they enclose.",
+    "surface": "Surface: where the level set is zero, by marching cubes.",
+    "cage": "Cage: the tetrahedra, cut open. Green: the cut.",
+    "enclosure": "Enclosure: opaque Gaussians in the cage, the deeper the darker. Red: those outside.",
 }
-STYLE = """
-body{margin:0;background:#f1efeb;color:#282624;font:15px/1.45 system-ui,sans-serif}
-main{max-width:1160px;margin:0 auto;padding:32px 24px}
-h1{font-size:26px;margin:0 0 4px}h2{font-size:16px;margin:0 0 2px}p{margin:0;color:#78746f}
-.facts{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:12px;margin:22px 0}
-.fact,figure{background:#faf9f7;border-radius:8px;box-shadow:0 1px 3px #0002}
-.fact{padding:12px 16px}.fact b{display:block;font-size:21px;font-weight:600}.fact span{color:#78746f;font-size:13px}
-.grid{display:grid;grid-template-columns:repeat(auto-fit,minmax(330px,1fr));gap:16px}
-figure{margin:0;overflow:hidden}figure img,figure svg{display:block;width:100%;height:auto}
-figcaption{padding:10px 16px 14px;border-top:1px solid #e6e3de}
-table{border-collapse:collapse;width:100%;margin-top:22px;background:#faf9f7;border-radius:8px;font-size:14px;
-box-shadow:0 1px 3px #0002}
-td,th{padding:7px 16px;text-align:right;border-top:1px solid #e6e3de}th{color:#78746f;font-weight:500;border:0}
-td:first-child,th:first-child{text-align:left}
-.note{margin-top:14px;padding:10px 16px;background:#fdf3e2;border-radius:8px;color:#6b4b12}
-"""
+DISTANCES = {"gaussians_to_cage": "Gaussians to the cage", "cage_to_gaussians": "cage to the Gaussians"}
 
 
-def html_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
-    """HTML page that loads nothing from elsewhere; every text from a file is escaped."""
-    cage, dihedral, inside = numbers["cage"], numbers["dihedral"], numbers["enclosure"]["inside"]
-    source = numbers["asset"]["source"] or "a splat"
-    counts = numbers["asset"]["counts"] or {}
-    facts = [
+def page_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
+    """The HTML page of the numbers and pictures of `examine`."""
+    cage, dihedral, distance = numbers["cage"], numbers["dihedral"], numbers["distance"]
+    counts, extent = numbers["asset"]["counts"] or {}, numbers["largest_extent"]
+    facts = (
         (f"{counts.get('kept', 0):,}", f"Gaussians of {counts.get('read', 0):,}"),
         (f"{cage['vertices']:,}", "cage vertices"),
         (f"{cage['tets']:,}", f"tetrahedra, {cage['cells']} cells"),
         *([(f"{cage['pieces']}", "pieces")] if cage["pieces"] > 1 else []),
         (f"{dihedral['min']:.1f}°", "smallest dihedral angle"),
-        (f"{inside:.2%}", "of the opaque Gaussians inside"),
-        (length(numbers["distance"]["symmetric_mean"]), "mean distance, both ways"),
+        (f"{numbers['enclosure']['inside']:.2%}", "of the opaque Gaussians inside"),
+        (length(distance["symmetric_mean"]), "mean distance, both ways"),
         (f"{1e6 * cage['volume']:,.4g} cm³", "volume"),
         (f"{numbers['seconds'] or 0:.1f} s", "to prepare"),
-    ]
-    figures = [
-        f'<figure><img alt="{title}" src="data:image/png;base64,{base64.b64encode(png_of(pictures[key])).decode()}">'
-        f"<figcaption><h2>{title}</h2><p>{text}</p></figcaption></figure>"
-        for key, (title, text) in CAPTIONS.items()
-        if key in pictures
-    ]
-    text = f"All six of each tet, median {dihedral['median']:.0f}°. Red line: the smallest."
-    figures.append(
-        f"<figure>{histogram(dihedral)}<figcaption><h2>Dihedral angles</h2><p>{text}</p></figcaption></figure>"
     )
-    notes = "".join(f'<div class="note">{html.escape(line)}</div>' for line in numbers["notes"])
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width"><meta http-equiv="Content-Security-Policy" '
-        "content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">"
-        f"<title>{html.escape(name)}</title><style>{STYLE}</style></head><body><main>"
-        f"<h1>{html.escape(name)}</h1><p>made from {html.escape(str(source))}; "
-        f"largest extent {length(numbers['largest_extent'])}; mesher {html.escape(cage['mesher'])}</p>{notes}"
-        f'<div class="facts">{"".join(f"<div class=fact><b>{v}</b><span>{t}</span></div>" for v, t in facts)}</div>'
-        f'<div class="grid">{"".join(figures)}</div>{distance_table(numbers)}</main></body></html>\n'
+    figures: dict = {caption: pictures[key] for key, caption in CAPTIONS.items() if key in pictures}
+    median = f"All six dihedral angles of each tet, median {dihedral['median']:.0f}°. Red: the smallest."
+    figures[f"{median} Heights are square roots of counts."] = histogram(dihedral)
+    rows = [
+        (title, *(f"{length(distance[key][k])} ({distance[key][k] / extent:.2%})" for k in ("mean", "p95", "max")))
+        for key, title in DISTANCES.items()
+    ]
+    table = Table(("Distance (of the largest extent)", "mean", "95 %", "largest"), rows)
+    source = numbers["asset"]["source"] or "a splat"
+    text = f"Made from {source}; largest extent {length(extent)}; mesher {cage['mesher']}."
+    return html_page(
+        name, text, [Section("Preparation", pictures=figures, table=table, items=tuple(numbers["notes"]), facts=facts)]
     )
 
 
-def distance_table(numbers: dict) -> str:
-    """HTML table of the distances both ways, also relative to the largest extent."""
-    rows = []
-    for key, title in (("gaussians_to_cage", "Gaussians to the cage"), ("cage_to_gaussians", "cage to the Gaussians")):
-        values = numbers["distance"][key]
-        cells = "".join(
-            f"<td>{length(values[k])} ({values[k] / numbers['largest_extent']:.2%})</td>"
-            for k in ("mean", "p95", "max")
-        )
-        rows.append(f"<tr><td>{title}</td>{cells}</tr>")
-    head = "<tr><th>Distance (of the largest extent)</th><th>mean</th><th>95 %</th><th>largest</th></tr>"
-    return f"<table>{head}{''.join(rows)}</table>"
+def histogram(dihedral: dict) -> Chart:
+    """Histogram of the dihedral angles, as large as a picture."""
+    heights, width = np.sqrt(dihedral["histogram"]), dihedral["bin"]
+    chart = Chart(180.0, heights.max(), x_ticks=[(d, f"{d}°") for d in range(0, 181, 30)], size=(560, 480))
+    for k in np.flatnonzero(heights):
+        chart.bar(k * width, (k + 1) * width, heights[k], "#5d93a0")
+    chart.line([(dihedral["min"], 0.0), (dihedral["min"], heights.max())], "#c82828", width=2.0)
+    chart.label(dihedral["min"] + 2.0, 0.96 * heights.max(), f"{dihedral['min']:.1f}°")
+    return chart
 
 
 def length(metres: float) -> str:
     """A length in a unit that suits it: m, cm or mm."""
     return (
         f"{metres:.3g} m" if metres >= 1 else f"{100 * metres:.3g} cm" if metres >= 0.01 else f"{1e3 * metres:.3g} mm"
-    )
-
-
-def histogram(dihedral: dict) -> str:
-    """SVG histogram of the dihedral angles, as large as a picture."""
-    counts, width, height = dihedral["histogram"], 560, 480
-    left, right, top, bottom = 34, 18, 30, 52
-    wide, high = (width - left - right) / len(counts), height - top - bottom
-    bars = [
-        f'<rect x="{left + i * wide + 1:.1f}" y="{top + high * (1 - math.sqrt(c / max(counts))):.1f}" '
-        f'width="{wide - 2:.1f}" height="{high * math.sqrt(c / max(counts)):.1f}" fill="#5d93a0"/>'
-        for i, c in enumerate(counts)
-        if c
-    ]
-    ticks = [
-        f'<text x="{left + d / 180 * (width - left - right):.1f}" y="{height - bottom + 22}" text-anchor="middle">{d}°'
-        "</text>"
-        for d in range(0, 181, 30)
-    ]
-    at = left + dihedral["min"] / 180 * (width - left - right)
-    return (
-        f'<svg viewBox="0 0 {width} {height}" font-family="system-ui,sans-serif" font-size="14" fill="#78746f">'
-        f'<rect width="{width}" height="{height}" fill="#faf9f7"/>{"".join(bars)}{"".join(ticks)}'
-        f'<line x1="{left}" x2="{width - right}" y1="{height - bottom}" y2="{height - bottom}" stroke="#c8c4be"/>'
-        f'<line x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{height - bottom}" stroke="#c82828" stroke-width="2"/>'
-        f'<text x="{at + 6:.1f}" y="{top + 10}" fill="#c82828">{dihedral["min"]:.1f}°</text>'
-        f'<text x="{width - right}" y="{height - 8}" text-anchor="end">height: square root of the count</text></svg>'
     )

@@ -16,6 +16,7 @@ from assets.images import thumbnail_of
 from assets.splat_files import read_gaussians
 from assets.up_axis import describe_guess
 from core.errors import BadInput
+from core.report import png_of
 from prepare import own_weight
 from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
@@ -25,7 +26,7 @@ from prepare.orientation.orientation_strip import orientation_strip, question, s
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.preparation_report import report_names, report_texts
 from prepare.progress import Progress, progress_on
-from prepare.report_pictures import camera_for, png_of, splat_picture
+from prepare.report_pictures import camera_for, splat_picture
 from prepare.rig.rigging import described, is_skinned, rig_source
 from prepare.room_capture.unposed_room import UNPOSED_STEPS, playable_environment
 from prepare.standing import stood_up

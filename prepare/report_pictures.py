@@ -187,11 +187,6 @@ class Canvas:
         return cv2.resize(self.page, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
 
 
-def png_of(picture: np.ndarray) -> bytes:
-    """PNG file of a picture (H, W, 3) uint8, RGB."""
-    return cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
-
-
 CUBE = np.array(  # corners of a cell's six faces, counter-clockwise from outside; face 2 a + s looks along s of axis a
     [
         [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]],

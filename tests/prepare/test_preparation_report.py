@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from prepare.pipeline import Options, prepare
-from prepare.preparation_report import examine, histogram, html_of, length, report_names, texts_of
+from prepare.preparation_report import examine, histogram, length, page_of, report_names, texts_of
 from prepare.report_pictures import HEIGHT, PAPER, WIDTH
 from tests.support.shells import ball
 
@@ -71,7 +71,7 @@ def test_the_page_stands_alone_and_escapes_what_a_file_says(made):
     _, _, numbers, pictures = made
     evil = "<script>alert(1)</script>"
     numbers = numbers | {"asset": numbers["asset"] | {"source": evil}, "notes": [evil]}
-    page = Page(html_of(evil, numbers, pictures))
+    page = Page(page_of(evil, numbers, pictures))
     assert "script" not in page.tags and page.text.count(evil) == 4  # title, heading, source, note
     assert page.tags.count("img") == 5 and page.tags.count("svg") == 1
     assert all(s.startswith("data:image/png;base64,") for s in page.sources)
@@ -79,8 +79,8 @@ def test_the_page_stands_alone_and_escapes_what_a_file_says(made):
 
 def test_the_histogram_is_an_svg_with_a_bar_for_each_full_bin(made):
     dihedral = made[2]["dihedral"]
-    root = ET.fromstring(histogram(dihedral))
-    bars = [r for r in root if r.tag == "rect"][1:]
+    root = ET.fromstring(histogram(dihedral).svg())
+    bars = [r for r in root if r.tag == "rect"]
     assert len(bars) == sum(c > 0 for c in dihedral["histogram"])
     heights = np.array([float(r.get("height")) for r in bars])
     counts = np.array([c for c in dihedral["histogram"] if c])

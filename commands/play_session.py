@@ -293,7 +293,7 @@ class Session:
         from display.keep.remembered import Remembered
         from display.record.recording import about_play
         from display.timing import start_progress
-        from display.world import World
+        from display.world import World, softened_note
 
         name = label(self.args.scene)
         self.keeper.scene, self.keeper.about = name, about_play(self.args, self._options)
@@ -306,4 +306,6 @@ class Session:
                 world.draw_start()
                 self.display.loading("", world.picture)
                 world.warm_up()
+        if world.softened:
+            print(softened_note(world.softened), file=sys.stderr, flush=True)
         return world

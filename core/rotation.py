@@ -71,6 +71,14 @@ def conjugate_quaternions(q) -> np.ndarray:
     return np.asarray(q) * [1.0, -1.0, -1.0, -1.0]
 
 
+def interpolate_quaternions(a, b, fraction: float) -> np.ndarray:
+    """Unit quaternions (..., 4) at a fraction between a and b: linear along the shorter arc, then normalised."""
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    b = np.where((a * b).sum(-1, keepdims=True) < 0.0, -b, b)
+    q = a + fraction * (b - a)
+    return q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-12)
+
+
 def rotation_between(a, b) -> np.ndarray:
     """The smallest rotation (3, 3) that takes direction `a` to direction `b`."""
     a, b = (np.asarray(v, np.float64) / np.linalg.norm(v) for v in (a, b))

@@ -1,11 +1,8 @@
 """Clock of the world in a headset: the simulation advances to the time at which the picture will be seen.
 
 A runtime predicts when a frame will be displayed. The world is simulated up to that time, however many frames were
-missed, in equal steps no longer than the display's period (or MAX_STEP, if that is shorter), the last of which ends at
-the predicted time. So no time is left over for interpolation. A fixed step with interpolation between the last two
-states would cost a second copy of all vertices and show held bodies up to a step, 11 ms at 90 Hz, behind the hand; and
-runtimes predict whole periods, so that the steps equal the period anyway. More, shorter steps cost nothing measurable:
-50 ms of the ring toss took 60 to 68 ms on two CPU cores as one step, and 59 to 93 ms as 2 to 5 steps.
+missed, in equal steps no longer than the display's period (or MAX_STEP, if that is shorter). No time is left over for
+an interpolation of states, which would cost a copy of all vertices and show held bodies up to a step behind the hand.
 
 Rule for slow machines: a frame catches up with all the time that has passed, but with no more than
 max(MIN_CATCH_UP, CATCH_UP_TIME (1 - cost)), where `cost` is the number of seconds that it takes to simulate one.
@@ -16,14 +13,14 @@ than MIN_CATCH_UP and the world runs slower instead. The remaining time is dropp
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
-from core.vocabulary import Hand
+from core.rotation import interpolate_quaternions
+from core.vocabulary import Hand, Touch
 
 MAX_STEP, MIN_PERIOD = 1 / 60, 1 / 240  # [s] longest step, and shortest period that is believed
 MIN_CATCH_UP = 1 / 20  # [s] that a frame always catches up with
@@ -114,36 +111,26 @@ def interpolate_hands(before: list[Hand], now: list[Hand], fraction: float) -> l
 
 
 def interpolate_hand(before: Hand | None, now: Hand | None, fraction: float) -> Hand | None:
-    """Hand at a fraction (0 <= fraction < 1) between two poses.
+    """Hand at a fraction (0 <= fraction < 1) between two poses, its finger capsules and reach too.
 
-    All numbers of a hand are interpolated, rotations along the shorter arc; other fields (a grip) change only at the
-    end. A hand that is suddenly JUMP_DISTANCE away is placed there at once.
+    The grip changes only at the end. A hand that is suddenly JUMP_DISTANCE away is placed there at once.
     """
     if before is None or now is None or not math.dist(before.position, now.position) < JUMP_DISTANCE:
         return now
-    return interpolate_field("", before, now, fraction)
 
+    def between(a, b):
+        return tuple((x + fraction * (y - x)) for x, y in zip(a, b, strict=True))
 
-def interpolate_field(name: str, a, b, fraction: float):
-    """Field `name` of a hand between a and b, of the same type; fields that do not match in both are as in a."""
-    if type(a) is type(b) and dataclasses.is_dataclass(a):
-        fields = ((f.name, getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
-        return dataclasses.replace(a, **{name: interpolate_field(name, x, y, fraction) for name, x, y in fields})
-    if isinstance(a, float):
-        return a + fraction * (b - a) if isinstance(b, (int, float)) else a
-    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape and a.dtype.kind == "f":
-        return interpolate_numbers(name, a, b, fraction).astype(a.dtype)
-    if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
-        if all(type(x) in (int, float) for x in (*a, *b)):
-            return tuple(interpolate_numbers(name, np.array(a, np.float64), np.array(b, np.float64), fraction).tolist())
-        return tuple(interpolate_field(name, x, y, fraction) for x, y in zip(a, b, strict=True))
-    return a
-
-
-def interpolate_numbers(name: str, x: np.ndarray, y: np.ndarray, fraction: float) -> np.ndarray:
-    """Numbers between x and y; quaternions, (..., 4) of a field named rotation, stay normalised."""
-    is_rotation = "rotation" in name and x.shape[-1:] == (4,)
-    if is_rotation:
-        y = np.where((x * y).sum(-1, keepdims=True) < 0.0, -y, y)
-    z = x + fraction * (y - x)
-    return z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-12) if is_rotation else z
+    touch = before.touch
+    if len(before.touch) == len(now.touch):
+        touch = tuple(
+            Touch(between(a.a, b.a), between(a.b, b.b), a.radius + fraction * (b.radius - a.radius))
+            for a, b in zip(before.touch, now.touch, strict=True)
+        )
+    return Hand(
+        between(before.position, now.position),
+        tuple(interpolate_quaternions(before.rotation, now.rotation, fraction).tolist()),
+        before.grip,
+        before.reach + fraction * (now.reach - before.reach),
+        touch,
+    )

@@ -17,7 +17,7 @@ import numpy as np
 
 from core.camera import Camera
 from core.material import Material
-from core.vocabulary import BodyState, Hand, Light
+from core.vocabulary import BodyState, Hand, Light, Vec3
 from display.timing import Timings
 from display.user_commands import Command
 from scenes.scene import Scene
@@ -25,28 +25,23 @@ from scenes.scene import Scene
 
 @dataclass
 class Frame:
-    """One frame: the world applies `commands`, advances by `dt`, and is drawn for `cameras`, one an eye."""
+    """One frame: the world applies `commands`, advances by `dt`, and is drawn for `cameras`, one an eye.
+
+    dt          [s] to simulate;   time  [s], sum of all dt so far
+    cameras     or a function that gives them, called after the world has moved; nothing is drawn without a camera
+    hands       poses at the end of the frame
+    commands    carried out before the step, as `in_order` sorts them
+    max_step    longest step of the simulation [s]; None: one step of dt
+    prop_poses  world_from_part of the skinned props (render/skinned_props.py), (P, 3, 4); None: unchanged
+    """
 
     dt: float
-    """Time to simulate [s]."""
-
     time: float
-    """Sum of all dt so far [s]."""
-
     cameras: Sequence[Camera] | Callable[[], Sequence[Camera]]
-    """Cameras, or a function that gives them, called after the world has moved. Nothing is drawn without a camera."""
-
     hands: list[Hand] = field(default_factory=list)
-    """Poses of the hands at the end of the frame."""
-
     commands: list[Command] = field(default_factory=list)
-    """Commands, carried out before the step as `in_order` sorts them."""
-
     max_step: float | None = None
-    """Longest step of the simulation [s]; None: one step of dt."""
-
     prop_poses: np.ndarray | None = None
-    """world_from_part of the world's skinned props, (P, 3, 4), see render/skinned_props.py; None: unchanged."""
 
 
 @dataclass(frozen=True)
@@ -66,87 +61,43 @@ class WorldView(Protocol):
     """
 
     scene: Scene
-    timings: Timings
-    """Durations of the frame's stages; the display adds its own and marks the end of each frame."""
+    timings: Timings  # of the frame's stages; the display adds its own and marks the end of each frame
+    time: float = 0.0  # [s] of the world since the last reset
 
-    picture_size: tuple[int, int]
-    """(width, height) of one view's picture [px]."""
+    # The picture
+    picture: Any  # finished: ti.ndarray u32 (views * H, W), R | G<<8 | B<<16 | A<<24, row 0 on top
+    picture_size: tuple[int, int]  # (width, height) [px] of one view's picture
+    pictures: int = 0  # number drawn so far: `picture` has changed when it has
+    moving: bool = False  # whether anything moved in the last frame
+    simulation_cost: float | None = None  # [s] of computing for a second of simulation; None: not known yet
+    wanted_view: tuple[Vec3, Vec3] | None = None  # eye and target [m] of a loaded state; a new object each
 
-    light: Light | None = None
-    """The light now; None if the scene has none, and then it cannot get one."""
-
+    # The play
     paused: bool = False
-    demo: bool = False
-    """True while the scene's scripted hand plays."""
+    demo: bool = False  # whether the scene's scripted hand plays
+    interaction: str = "physics"  # or "transform"
+    light: Light | None = None  # None: the scene has none and cannot get one
+    gravity: Vec3 = (0.0, 0.0, 0.0)  # [m/s^2]
+    time_scale: float = 1.0  # seconds of the world in a second of the user's
+    score: int = 0  # of the scene's game
+    message: str = ""  # of the scene's game
+    notice: str = ""  # about the last command, for some seconds
+    opening: str = ""  # progress of what is being opened (`OpenScene` and the like), "" while nothing is
+    film_seconds: float | None = None  # length of the film that is being written; None: there is none
+    sound: bool | None = None  # whether impacts are heard; None: there is nothing to hear them with
 
-    moving: bool = False
-    """True if anything moved in the last frame."""
+    # Bodies and room
+    editable: bool = False  # whether there are bodies that commands can change
+    selected: int | None = None  # index of the body that was last held or pointed at
+    recently_selected: bool = False  # whether that was, or was changed, within the last seconds
+    softened: Sequence[tuple[str, float, float]] = ()  # bodies simulated softer than asked: name, Young's moduli [Pa]
+    room_middle: np.ndarray | None = None  # (3,) [m], about which a room of the user is turned; None: there is none
 
-    interaction: str = "physics"
-    """"physics" or "transform"."""
-
-    editable: bool = False
-    """True if there are bodies that commands can change."""
-
-    selected: int | None = None
-    """Index of the body that was last held or pointed at."""
-
-    recently_selected: bool = False
-    """True if it was selected or changed within the last seconds."""
-
-    room_middle: np.ndarray | None = None
-    """Point (3,) [m] about which the user's room is turned; None: there is no room of the user's."""
-
-    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Acceleration of what falls [m/s^2]."""
-
-    time_scale: float = 1.0
-    """Seconds of the world in a second of the user's."""
-
-    notice: str = ""
-    """Message about the last command, for some seconds."""
-
-    film_seconds: float | None = None
-    """Length of the film that is being written [s]; None: there is none."""
-
-    wanted_view: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    """Eye and target [m] of a state that was loaded, to which a display goes once; another object each time."""
-
-    time: float = 0.0
-    """Seconds of the world since the last reset."""
-    file: Any = None
-    """The splat file that is shown, a ViewedFile (display/viewed_file.py); None: a scene is."""
-
-    file_number: tuple[int, int] = (0, 0)
-    """Number of the file that is shown, from 1, and how many there are."""
-
-    facts: Sequence[tuple[str, str]] = ()
-    """Statistics of the file, (name, value)."""
-
-    axes: bool = False
-    """True if the axes are shown."""
-
-    up_choices: Sequence[tuple[str, float, np.ndarray]] = ()
-    """Alternatives where the up axis is not sure: axes of the file, their probabilities, pictures (H, W, 3) uint8."""
-
-    sound: bool | None = None
-    """True if impacts are heard; None: there is nothing to hear them with."""
-
-    opening: str = ""
-    """Progress of what is being opened (`OpenScene` and the like), "" while nothing is."""
-
-    score: int = 0
-    message: str = ""
-    """Score and message of the scene's game."""
-
-    simulation_cost: float | None = None
-    """Seconds of computing for a second of simulation; None before it is known."""
-
-    picture: Any
-    """The finished picture, ti.ndarray u32 (views * H, W): R | G<<8 | B<<16 | A<<24, row 0 on top."""
-
-    pictures: int = 0
-    """Number of pictures drawn so far: `picture` has changed when it has."""
+    # A viewer of splat files
+    file: Any = None  # that is shown, a ViewedFile (display/viewed_file.py)
+    file_number: tuple[int, int] = (0, 0)  # its number, from 1, and how many there are
+    axes: bool = False  # whether the axes are shown
+    up_choices: Sequence[tuple[str, float, np.ndarray]] = ()  # that may point up, probabilities, pictures
 
     def lines(self) -> Sequence[Line]:
         """Lines to be drawn over the picture."""

@@ -19,6 +19,7 @@ from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
 from display.edit.editor import Editor
 from display.edit.room_turn import RoomTurn
+from display.edit.undo_stack import Step
 from display.picture import surface_point
 from display.protocol import Frame, WorldView
 from display.timing import Timings
@@ -40,6 +41,7 @@ from display.user_commands import (
     last_of,
 )
 from scenes.scene import Scene
+from sim.reductions import Observation
 
 MAX_GRAVITY = 100.0  # [m/s^2] on an axis: ten times the earth's
 SCRIPT_DT = 1 / 60  # [s]; a scripted hand plays in frames of this length, whatever the display's, to play alike
@@ -47,13 +49,26 @@ SCRIPT_DT = 1 / 60  # [s]; a scripted hand plays in frames of this length, whate
 
 @dataclass(frozen=True)
 class WorldSnapshot:
-    """Everything of a running world but its light and its settings."""
+    """State of a running world, but for its light and its settings. backlog: `World._backlog` [s]."""
 
     bodies: BodiesSnapshot
     time: float
-    owed: float
+    backlog: float
     game: dict
     room: np.ndarray = field(default_factory=lambda: np.eye(4))  # pose of the room (display/edit/room_turn.py)
+
+
+@dataclass(frozen=True)
+class Launched:
+    """The simulation of a frame that the device computes: what is observed after it, its begin [s] and length [s].
+
+    before  the editor's record of the state before it; None in a demo
+    """
+
+    observation: Observation
+    begin: float
+    dt: float
+    before: Step | None
 
 
 class World(WorldView):
@@ -78,7 +93,7 @@ class World(WorldView):
         self.time = 0.0  # [s] of simulation since the last reset
         self._demo_from = self.interaction  # in which mode the demo began
         self.script_dt = SCRIPT_DT
-        self.owed = 0.0  # [s] of a demo that have passed but are not simulated yet
+        self._backlog = 0.0  # [s] of a demo that have passed but are not simulated yet
         self._cost = SimulationCost()
         self._hands: list[Hand] = []  # of the last frame
         self._bodies: list[BodyState] = []
@@ -104,43 +119,48 @@ class World(WorldView):
         self.draw([perspective(width, height, self.scene.fov_y, view)] * self.device.views)
 
     def step(self, frame: Frame) -> None:
-        """One frame: carry out commands, simulate, deform, shade, draw.
+        """One frame: carry out commands, simulate, deform, cast shadows, draw.
 
-        Deformation and shadows are launched behind the simulation, before that is waited for: else the device would
-        wait for the host in turn. If anything moved in the last frame, it is taken to go on moving.
+        Deformation is launched behind the simulation, before that is waited for: else the device would wait for the
+        host in turn. So what moved in the last frame is taken to go on moving; what begins to move is deformed late.
         """
-        self.editor.begin_frame()
-        self._commanding = True
-        try:
-            self.apply([*self._two_hand_scaling(), *frame.commands])
-        finally:
-            self._commanding = False
-        shadow_outdated = False
-        if frame.prop_poses is not None:
-            with self.timings.stage("hands"):
-                shadow_outdated = self.device.place_props(frame.prop_poses)
-        runs = not self.paused or last_of(SingleStep, frame.commands) is not None
-        due = self._deform_due or (runs and self.moving)
-        observed, note = self._advance(frame) if runs else (lambda: False, lambda: None)
-        if due:
+        self._carry_out(frame.commands)
+        props_moved = self._place_props(frame.prop_poses)
+        simulates = not self.paused or last_of(SingleStep, frame.commands) is not None
+        deforms = self._deform_due or (simulates and self.moving)
+        launched = self._launch(frame) if simulates else None
+        if deforms:
             self._deform()
-        self.moving = observed()
+        self.moving = launched is not None and self._moved(launched)
+        if self.moving and not deforms:
+            self._deform()
+        elif props_moved and not deforms:
+            self._cast_shadow()
         self._hands = frame.hands
-        if not due:
-            if self.moving:
-                self._deform()
-            elif shadow_outdated:
-                self._cast_shadow()
         if last_of(Settle, frame.commands) is not None or last_of(SaveState, frame.commands) is not None:
             self.settle()
-        self.draw(frame.cameras() if callable(frame.cameras) else frame.cameras, meanwhile=note)
+        cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
+        self.draw(cameras, meanwhile=lambda: self._observe(launched))
 
-    def _advance(self, frame: Frame) -> tuple[Callable[[], bool], Callable[[], None]]:
-        """Launch the simulation of the frame.
+    def _carry_out(self, commands: Sequence[Command]) -> None:
+        """Carry out the frame's commands, and keep the size given to a body by two hands that have let go of it."""
+        self.editor.begin_frame()
+        scaled = self.device.solver.take_scaling()
+        self._commanding = True
+        try:
+            self.apply([*([] if scaled is None else [Rescale(*scaled)]), *commands])
+        finally:
+            self._commanding = False
 
-        Returns two functions: one waits for it and returns whether anything has moved, the other takes note, after
-        that, of where the bodies are now.
-        """
+    def _place_props(self, poses: np.ndarray | None) -> bool:
+        """Move the skinned props; returns whether any has moved."""
+        if poses is None:
+            return False
+        with self.timings.stage("hands"):
+            return self.device.place_props(poses)
+
+    def _launch(self, frame: Frame) -> Launched:
+        """Launch the simulation of the frame."""
         if self.demo and any(hand is not None and hand.grip for hand in frame.hands):
             self._end_demo()
             frame = replace(frame, hands=[])  # open for this frame, so that they do not take over what the script holds
@@ -148,23 +168,25 @@ class World(WorldView):
         begin = perf_counter()
         with self.timings.stage("simulate"):
             self._simulate(frame)
-            observation = self.device.solver.observe()
+            return Launched(self.device.solver.observe(), begin, frame.dt, before)
 
-        def observed() -> bool:
-            moved = observation.moved
-            if self.device.solver.simulated:  # time that stands still, or in which all bodies sleep, costs nothing
-                self._cost.note(perf_counter() - begin, frame.dt)
-            return moved
+    def _moved(self, launched: Launched) -> bool:
+        """Wait for the simulation; returns whether anything has moved."""
+        moved = launched.observation.moved
+        if self.device.solver.simulated:  # time that stands still, or in which all bodies sleep, costs nothing
+            self._cost.note(perf_counter() - launched.begin, launched.dt)
+        return moved
 
-        def note() -> None:
-            bodies = observation.bodies
-            if not self.demo:
-                self.editor.after_step(before, self._bodies, bodies)
-            self._bodies = bodies
-            if self.scene.game is not None:
-                self.scene.game.update(self.time, self.registry.scene_states(bodies))
-
-        return observed, note
+    def _observe(self, launched: Launched | None) -> None:
+        """Take note of where the bodies are after the simulation."""
+        if launched is None:
+            return
+        bodies = launched.observation.bodies
+        if not self.demo:
+            self.editor.after_step(launched.before, self._bodies, bodies)
+        self._bodies = bodies
+        if self.scene.game is not None:
+            self.scene.game.update(self.time, self.registry.scene_states(bodies))
 
     def _simulate(self, frame: Frame) -> None:
         """Step with the user's hands at the display's pace, or with the scripted ones in frames of `script_dt`."""
@@ -174,18 +196,13 @@ class World(WorldView):
                 self.registry.step(dt, hands)
             self.time += passed
             return
-        self.owed += passed
-        while self.owed >= script_dt and self.demo:
-            self.owed -= script_dt
+        self._backlog += passed
+        while self._backlog >= script_dt and self.demo:
+            self._backlog -= script_dt
             self.time += script_dt
             self.registry.step(script_dt, self.scripted_hands(self.time))
             if self.scene.game is None or self.time >= self.scene.game.duration:
                 self._end_demo()
-
-    def _two_hand_scaling(self) -> list[Command]:
-        """Command that keeps the size given to a body by two hands, after they have let go."""
-        scaled = self.device.solver.take_scaling()
-        return [] if scaled is None else [Rescale(*scaled)]
 
     def _deform(self) -> None:
         self._deform_due = False
@@ -262,7 +279,7 @@ class World(WorldView):
         if self.room.moved:  # the start is a place in the room
             for k in range(len(self.registry.members)):
                 self.registry.displace(k, self.room.pose, rest=True)
-        self.time = self.owed = 0.0
+        self.time = self._backlog = 0.0
         if self.scene.game is not None:
             self.scene.game.reset()
         self.refresh()
@@ -309,14 +326,14 @@ class World(WorldView):
     def snapshot(self) -> WorldSnapshot:
         """The state now; hands count as open."""
         game = {} if self.scene.game is None else deepcopy(vars(self.scene.game))
-        return WorldSnapshot(self.registry.snapshot(), self.time, self.owed, game, self.room.pose)
+        return WorldSnapshot(self.registry.snapshot(), self.time, self._backlog, game, self.room.pose)
 
     def restore(self, snapshot: WorldSnapshot) -> None:
         """Bring a state back; a demo ends."""
         self._end_demo()
         self.registry.restore(snapshot.bodies)
         self.room.place(snapshot.room)
-        self.time, self.owed = snapshot.time, snapshot.owed
+        self.time, self._backlog = snapshot.time, snapshot.backlog
         if self.scene.game is not None:
             vars(self.scene.game).update(deepcopy(snapshot.game))
         self.refresh()
@@ -385,6 +402,13 @@ class World(WorldView):
     def material(self, body: int) -> tuple[Material, str]:
         """Material of a body, and its name: "rubber", "rubber, changed"; of a rigid body, "rigid"."""
         return self.registry.material(body)
+
+    @property
+    def softened(self) -> list[tuple[str, float, float]]:
+        """Bodies simulated softer than their material: name, its Young's modulus and the simulated one [Pa]."""
+        models = self.device.solver.body_models
+        both = [(m.body.name, m.body.material.young, m.material.young) for m in models if not m.body.rigid]
+        return [limit for limit in both if limit[2] < limit[1]]
 
     def rest_size(self, body: int) -> tuple[np.ndarray, float]:
         """Extents (3,) [m] and volume [m^3] of a body at rest, in its own frame."""
@@ -458,7 +482,25 @@ class World(WorldView):
     def stats(self) -> dict:
         """Counts and state for panels and `--stats`, and the files that play roles."""
         s = self.device.solver.stats
-        names = ("vertices", "tets", "substeps", "dt", "integrator", "iterations", "collision_passes")
-        names = (*names, "finite", "asleep")
+        names = (
+            "vertices",
+            "tets",
+            "substeps",
+            "dt",
+            "integrator",
+            "iterations",
+            "collision_passes",
+            "finite",
+            "asleep",
+        )
         counts = {"gaussians": self.device.splats.count, **{n: s[n] for n in names}, "score": self.score}
-        return counts | ({"roles": {role: file for file, role in self.scene.cast}} if self.scene.cast else {})
+        limits = [{"body": body, "young": young, "simulated": simulated} for body, young, simulated in self.softened]
+        roles = {"roles": {role: file for file, role in self.scene.cast}} if self.scene.cast else {}
+        return {**counts, "softened": limits, **roles}
+
+
+def softened_note(softened: Sequence[tuple[str, float, float]]) -> str:
+    """A line on bodies that are simulated softer than their material, as `World.softened` lists them."""
+    each = sorted({*softened})
+    bodies = "; ".join(f"{body}: {simulated:.2g} Pa instead of {young:.2g}" for body, young, simulated in each)
+    return f"simulated softer than their material, which would need too short substeps: {bodies}"

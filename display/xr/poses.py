@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.camera import Camera
-from core.rotation import matrices_from_quaternions, quaternions_from_matrices
+from core.rotation import interpolate_quaternions, matrices_from_quaternions, quaternions_from_matrices
 
 ARM_LENGTH = 0.6  # [m] that a hand reaches over a table
 MAX_STEP_AHEAD = 0.25  # [m] that a player begins nearer than the scene's eye: a table may stand there
@@ -88,6 +87,6 @@ class PlaySpace:
 
 
 def interpolate_pose(a: np.ndarray, b: np.ndarray, t: float) -> np.ndarray:
-    """Pose (4, 4) between a (t = 0) and b (t = 1): linear in position, spherical in rotation."""
-    turn = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec()
-    return pose_matrix((1 - t) * a[:3, 3] + t * b[:3, 3], a[:3, :3] @ Rotation.from_rotvec(t * turn).as_matrix())
+    """Pose (4, 4) between a (t = 0) and b (t = 1)."""
+    rotation = interpolate_quaternions(*quaternions_from_matrices(np.array([a, b])[:, :3, :3]), t)
+    return pose_matrix((1 - t) * a[:3, 3] + t * b[:3, 3], matrices_from_quaternions(rotation))

@@ -1,12 +1,10 @@
 """The world's clock in a headset: pure functions, and a world that is stepped by it."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from core.vocabulary import Hand
+from core.vocabulary import Hand, Touch
 from display.clock import (
     CATCH_UP_TIME,
     MAX_STEP,
@@ -132,42 +130,13 @@ def test_a_hand_that_was_found_elsewhere_is_there_at_once():
     assert interpolate_hand(a, None, 0.5) is None and interpolate_hand(None, b, 0.5) is b
 
 
-@dataclass(frozen=True)
-class Touch:
-    """A capsule that a hand pushes with."""
-
-    a: tuple
-    radius: float = 0.1
-    on: bool = False
-
-
-@dataclass
-class Rich(Hand):
-    """A hand as it may become."""
-
-    joints: np.ndarray | None = None
-    joint_rotations: np.ndarray | None = None
-    tracked: bool = True
-    kind: str = "fist"
-    number: int = 0
-    pair: tuple = ((0.0, 1.0), (2.0, 3.0))
-    touch: tuple = ()
-
-
-def test_fields_that_a_hand_may_gain_are_led_too():
-    q = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]], np.float32)
-    a = Rich(joints=np.zeros((3, 3), np.float32), joint_rotations=q)
-    b = Rich(joints=np.ones((3, 3), np.float32), joint_rotations=-q, tracked=False, kind="pinch", number=7)
-    b.pair = ((2.0, 1.0), (2.0, 5.0))
+def test_finger_capsules_and_reach_are_led_too():
+    a = Hand(reach=0.02, touch=(Touch((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.1),))
+    b = Hand(reach=0.04, touch=(Touch((1.0, 0.0, 0.0), (1.0, 1.0, 2.0), 0.2),))
     half = interpolate_hand(a, b, 0.5)
-    assert half.joints.dtype == np.float32
-    assert_allclose(half.joints, 0.5)
-    assert_allclose(half.joint_rotations, q)
-    assert (half.tracked, half.kind, half.number) == (True, "fist", 0) and half.pair == ((1.0, 1.0), (2.0, 4.0))
-    assert interpolate_hand(Rich(), b, 0.5).joints is None
-    a.touch, b.touch = (Touch((0, 0, 0)), Touch((1.0, 0.0, 0.0))), (Touch((1, 0, 0), 0.2, True), Touch((1.0, 2.0, 0.0)))
-    assert interpolate_hand(a, b, 0.5).touch == (Touch((0.5, 0.0, 0.0), pytest.approx(0.15)), Touch((1.0, 1.0, 0.0)))
-    b.touch = b.touch[:1]
+    assert half.touch == (Touch((0.5, 0.0, 0.0), (0.5, 1.0, 1.0), pytest.approx(0.15)),)
+    assert half.reach == pytest.approx(0.03)
+    b.touch = ()
     assert interpolate_hand(a, b, 0.5).touch == a.touch
 
 

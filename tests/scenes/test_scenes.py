@@ -216,6 +216,23 @@ def test_the_rings_are_of_a_soft_silicone_as_their_assets_are():
     assert Material.named("rubber").young > 50 * Material.named("silicone").young
 
 
+def test_a_body_that_is_simulated_softer_than_its_material_is_told(ti_cpu):
+    from display.world import World, softened_note
+
+    steel = replace(Material.named("silicone"), young=2e11)
+    rings = [Body("ring_red", Material.named("silicone")), *[Body("ring_blue", steel, position=(0, 0.2, 0))] * 2]
+    world = World(Scene(rings, None, (0.0, 0.5, 0.9), (0.0, 0.1, 0.0)), width=16, height=16)
+    softened = world.stats()["softened"]
+    assert [(s["body"], s["young"]) for s in softened] == [("ring_blue", 2e11)] * 2
+    solver = world.device.solver
+    assert all(
+        0 < s["simulated"] == m.material.young < 2e11 for s, m in zip(softened, solver.body_models[1:], strict=True)
+    )
+    note = softened_note(world.softened)
+    assert note.count("ring_blue: ") == 1 and "ring_red" not in note and "\n" not in note
+    world.close()
+
+
 def test_a_scene_without_a_light_plays_without_shadows(ti_cpu):
     from display.world import World
 

@@ -21,14 +21,13 @@ from prepare import own_weight
 from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
 from prepare.environment.clear_view import CLEAR
-from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions
+from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
 from prepare.orientation.orientation_strip import orientation_strip, question, strip_name
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.preparation_report import report_names, report_texts
 from prepare.progress import Progress, progress_on
 from prepare.report_pictures import camera_for, splat_picture
 from prepare.rig.rigging import described, is_skinned, rig_source
-from prepare.room_capture.unposed_room import UNPOSED_STEPS, playable_environment
 from prepare.standing import stood_up
 
 # Vertices of a cage unless the user says; the next number where a shape finds no sound cage with one. A second of a
@@ -37,7 +36,6 @@ DEVICE_VERTICES = {"cpu": (500, 1000, 2000), "cuda": (2000,)}
 ANIMATED_VERTICES = (2000,)  # of a body with a skeleton, whose joints fewer cannot bend
 MAX_FLOATERS = 0.05  # of the Gaussians; more that lie apart are another component
 Y_UP = (".glb", ".gltf")  # whose specification says so
-DROPS = {"nothing": "an unseen level in front of what is looked at"}
 MAX_PLANES = 8  # that the summary names
 
 
@@ -209,28 +207,19 @@ def prepare_environment_file(
     """
     path, out = Path(path), Path(out)
     gaussians = read_gaussians(path, report)
-    bars = [progress_on(sys.stderr, steps) for steps in (ENVIRONMENT_STEPS, UNPOSED_STEPS)]
-
-    def why(line: str) -> None:
-        bars[0].close()
-        report(line)
-
+    bar = progress_on(sys.stderr, ENVIRONMENT_STEPS)
     try:
-        shown = [progress or bar for bar in bars]
-        asset, objects = playable_environment(gaussians, options, progress=shown[0], again=shown[1], report=why)
+        asset, objects = prepare_environment(gaussians, options, progress=progress or bar)
     except BadInput as e:
         raise BadInput(f"{path}: {e}") from e
     finally:
-        for bar in bars:
-            bar.close()
+        bar.close()
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
     files = [out, *(object_file(out, k) for k in objects)]
     asset.check(str(out))
     strip, chances = None, asset.provenance["up_probabilities"]
     if pictures and question(chances):
-        found = asset.environment
-        view = None if found.target is None else (found.eye_position, found.target)
-        strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances, view)
+        strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances)
         files.append(strip_name(out))
     with atomic_write_all(*files) as (beside, *others):
         if strip is not None:
@@ -259,20 +248,14 @@ def environment_summary(asset: Asset) -> list[str]:
         f"{len(asset.gaussians):,} Gaussians, up {_up_axis(p)}, leaning by {p['lean']:.1f} degrees, "
         f"largest extent {_size(p)}"
     ]
-    if p.get("floor_seen") is False:
-        lines.append("  no floor was seen: one is assumed under the cameras")
     for kind, height, x0, z0, x1, z1 in found.planes[:MAX_PLANES]:
         centre = f"({0.5 * (x0 + x1):.2f}, {0.5 * (z0 + z1):.2f})"
         lines.append(f"  {kind:5} at {height:5.2f} m, {x1 - x0:.2f} x {z1 - z0:.2f} m around {centre}")
     if len(found.planes) > MAX_PLANES:
         lines.append(f"  and {len(found.planes) - MAX_PLANES} more planes")
-    on = DROPS.get(p["drop_on"], f"the {p['drop_on']}")
-    lines.append(f"bodies drop on {on}, where a disc of {found.clear_radius:.2f} m is free; grids: {grids}")
-    if "likely_cameras" in p:
-        lines.append(
-            f"view: from where a camera likely was; {p['not_needed']:,} Gaussians that none of {p['likely_cameras']} "
-            "likely cameras needs are left out"
-        )
+    lines.append(
+        f"bodies drop on the {p['drop_on']}, where a disc of {found.clear_radius:.2f} m is free; grids: {grids}"
+    )
     lines.append(f"view: {p['clear_view']:.0%} of the picture at the start is clear")
     if p["clear_view"] < CLEAR:
         lines[-1] += "; poor: a capture with its photographs knows better where to stand (vrgs.py capture)"

@@ -23,7 +23,6 @@ from prepare.environment.clear_view import clearest
 from prepare.environment.spawn_points import drop_point, standing_eyes
 from prepare.environment.support_planes import (
     LEVEL_COS,
-    NoFloor,
     SupportPlane,
     find_gravity,
     floor_under,
@@ -127,7 +126,7 @@ def prepare_environment(
 
     progress  called with a step of ENVIRONMENT_STEPS and the fraction of it that is done
     Out.      the asset, +y up, floor at y = 0, the drop at x = z = 0; and the Gaussians of each id that was cut out
-    Raises NoFloor, and BadInput for too many cells.
+    Raises BadInput where there is no floor, and for too many cells.
     """
     begin = time.perf_counter()
     options = options or EnvironmentOptions()
@@ -213,7 +212,7 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     high[1] = min(high[1], MAX_HEIGHT)
     low[1] = max(low[1], -BELOW_FLOOR)
     if high[1] < MIN_HEIGHT:
-        raise NoFloor("nothing stands above the floor that was found")
+        raise BadInput("nothing stands above the floor that was found")
     return Upright(rest, cut, low, high, up, chances, rotation, size, factor)
 
 

@@ -22,10 +22,6 @@ LEAN_COS = np.cos(np.radians(32.0))  # of a floor against the file's axis; beyon
 TABLE_HEIGHTS, TABLE_AREA = (0.3, 1.2), 0.25  # [m], and [m^2] at least; other planes are shelves
 
 
-class NoFloor(BadInput):
-    """A scene in which no floor is found."""
-
-
 @dataclass(frozen=True)
 class SupportPlane:
     """A level plane that can carry a body. `mask` (X, Z) bool: cells of CELL from `corner` (x, z) [m] that it fills."""
@@ -63,7 +59,8 @@ def find_gravity(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up:
     """Height of the floor along the true vertical, and the levelling rotation (3, 3), near the axis `up` of the file.
 
     points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights. An axis of the file is refined
-    to the level planes, as cameras are seldom held straight. Raises BadInput for an unknown axis, and NoFloor.
+    to the level planes, as cameras are seldom held straight. Raises BadInput
+    for an unknown axis, or where there is no floor.
     """
     turn = rotation_to_up(up)
     direction = refine_direction(turn[1], normals, areas)
@@ -71,7 +68,10 @@ def find_gravity(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up:
     floor = find_floor_plane(heights, np.abs(normals @ direction) > LEVEL_COS, areas)[0]
     floor, direction = fit_floor(points, normals, areas, floor, direction)
     if direction @ turn[1] < LEAN_COS:
-        raise NoFloor("what is most nearly level leans too much to be a floor")
+        raise BadInput(
+            "what is most nearly level leans too much to be a floor (--up names another axis; "
+            "with its photographs, vrgs.py capture needs no floor)"
+        )
     return floor, rotation_to_y(turn @ direction) @ turn
 
 
@@ -106,13 +106,13 @@ def support_planes(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) 
     """The floor and, largest first, the tables and shelves.
 
     points [m] (N, 3) of the surface, evenly spread, +y up; normals (N, 3) that point into free space.
-    Peaks of a histogram of heights are split into connected components. Raises NoFloor.
+    Peaks of a histogram of heights are split into connected components. Raises BadInput.
     """
     up = normals[:, 1] > LEVEL_COS
     p = points[up]
     near = np.abs(p[:, 1] - floor) < 2 * THICKNESS
     if not near.any():
-        raise NoFloor("no floor was found under the scene")
+        raise BadInput("no floor was found under the scene")
     found = [planes_at(p[near], float(np.median(p[near, 1])), "floor")]
     left = p[(p[:, 1] > floor + HEIGHTS[0]) & (p[:, 1] < floor + HEIGHTS[1])]
     tried = set()
@@ -135,7 +135,7 @@ def support_planes(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) 
                 taken |= slab & plane.covers(left[:, [0, 2]])
             left = left[~taken]
     if not found[0]:
-        raise NoFloor("no floor was found under the scene")
+        raise BadInput("no floor was found under the scene")
     return [max(found[0], key=lambda s: s.area), *sorted(filter(free_above(planes), planes), key=lambda s: -s.area)]
 
 

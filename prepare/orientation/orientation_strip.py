@@ -10,12 +10,10 @@ import numpy as np
 from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.up_axis import alternatives, robust_bounds, rotation_to_up
-from core.camera import look_at, perspective
 from prepare.report_pictures import PAPER, camera_for, splat_picture
 
 WIDTH, HEIGHT, FOOT = 240, 220, 34  # [px] of a picture, and of the line under it
 INK = (40, 38, 36)
-FOV_Y = 1.2  # [rad] of a view that is given
 OPAQUE = 0.3  # fainter Gaussians are not framed
 
 
@@ -33,28 +31,21 @@ def question(probabilities: dict[str, float], pictures: Path | None = None) -> s
     return f"which way is up is not sure: {listed}" + (f"; pictures: {pictures}" if pictures is not None else "")
 
 
-def orientation_strip(
-    gaussians: Gaussians, up: str, probabilities: dict[str, float], view: tuple | None = None
-) -> np.ndarray:
+def orientation_strip(gaussians: Gaussians, up: str, probabilities: dict[str, float]) -> np.ndarray:
     """Pictures (H, W, 3) uint8 of each alternative with its option, most probable first. Taichi must be running.
 
-    up    the axis of the file that points to +y in `gaussians`
-    view  eye and target (3,) from which they are seen clearly; None: from the front of each
+    up  the axis of the file that points to +y in `gaussians`
     """
-    pictures = [_panel(gaussians, up, to, probabilities[to], view) for to in alternatives(probabilities)]
+    pictures = [_panel(gaussians, up, to, probabilities[to]) for to in alternatives(probabilities)]
     return np.concatenate(pictures, axis=1)
 
 
-def _panel(gaussians: Gaussians, now: str, up: str, probability: float, view: tuple | None) -> np.ndarray:
+def _panel(gaussians: Gaussians, now: str, up: str, probability: float) -> np.ndarray:
     turn = rotation_to_up(up) @ rotation_to_up(now).T
     turned = gaussians.transformed(turn)
-    if view is not None:
-        eye, target = (turn @ np.asarray(p, np.float64) for p in view)
-        camera = perspective(WIDTH, HEIGHT, FOV_Y, look_at(eye, target))
-    else:
-        seen = turned.means[turned.opacities > OPAQUE] if (turned.opacities > OPAQUE).any() else turned.means
-        low, high = robust_bounds(seen.astype(np.float64))
-        camera = camera_for(seen.clip(low, high).astype(np.float64), WIDTH, HEIGHT)
+    seen = turned.means[turned.opacities > OPAQUE] if (turned.opacities > OPAQUE).any() else turned.means
+    low, high = robust_bounds(seen.astype(np.float64))
+    camera = camera_for(seen.clip(low, high).astype(np.float64), WIDTH, HEIGHT)
     picture = splat_picture(Asset(turned), camera)
     page = np.full((HEIGHT + FOOT, WIDTH, 3), PAPER, np.uint8)
     page[:HEIGHT] = picture

@@ -51,13 +51,11 @@ class RoomView:
     """Cameras of the photographs in the room [m], +y up, and what each shows: its median depth, (V,) [m].
 
     floor_seen  whether y = 0 is a floor that the cameras saw; else it is the lowest surface
-    stand       index of the camera where the player stands; None: a typical one on the front side
     """
 
     cameras: Sequence[Camera]
     depths: np.ndarray
     floor_seen: bool
-    stand: int | None = None
 
     @property
     def places(self) -> np.ndarray:
@@ -77,8 +75,6 @@ class RoomView:
 
     def photographer(self) -> int:
         """The camera where the player stands: about as high and as far as most, on the front side (+z)."""
-        if self.stand is not None:
-            return self.stand
         places, targets = self.places, self.targets
         toward = places - np.median(targets, axis=0)
         away = np.linalg.norm(toward, axis=1)

@@ -10,7 +10,7 @@ from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians, concatenate
 from assets.library import SHIPPED_FOLDER
-from assets.reoriented import reoriented
+from assets.reoriented import reoriented, turned_environment
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
@@ -79,6 +79,18 @@ def test_a_room_turns_about_the_vertical_and_grows(tmp_path):
     assert_allclose(new.sdf.sample(2 * points @ quarter.T), 2 * old.sdf.values.ravel().astype(float), atol=2e-3)
     same = reoriented(room(), np.eye(3), 2.0)
     assert_allclose(same.sdf.values, 2 * old.sdf.values.astype(np.float32), atol=2e-3)
+
+
+def test_a_target_is_kept_in_the_file_and_turned_with_the_room(tmp_path):
+    environment = replace(room().environment, target=(0.0, 1.0, 0.0), planes=(("unseen", 0.0, -1.0, -1.0, 1.0, 1.0),))
+    replace(room(), environment=environment).save(tmp_path / "a.h5")
+    assert Environment.load(tmp_path / "a.h5").target == (0.0, 1.0, 0.0)
+    turned = turned_environment(environment, np.diag([-1.0, -1.0, 1.0]), 2.0, np.array([0.0, 0.0, 1.0]))
+    assert turned.target == pytest.approx((0.0, -2.0, 1.0))
+    broken = replace(environment, target=(0.0, float("nan"), 0.0))
+    replace(room(), environment=broken).save(tmp_path / "b.h5")
+    with pytest.raises(BadInput, match="finite"):
+        Environment.load(tmp_path / "b.h5")
 
 
 def upright_wall() -> Gaussians:

@@ -325,7 +325,7 @@ def test_objects_cut_out_are_not_left_behind_without_their_scene(tmp_path, monke
         raise BadInput("out.h5: cannot be written (No space left on device)")
 
     write_gaussians(tmp_path / "in.ply", table_and_jug())
-    monkeypatch.setattr("prepare.prepared_files.playable_environment", prepared)
+    monkeypatch.setattr("prepare.prepared_files.prepare_environment", prepared)
     monkeypatch.setattr("assets.asset.Asset.save", refuse)
     with pytest.raises(BadInput, match="No space left"):
         prepare_environment_file(tmp_path / "in.ply", tmp_path / "out.h5", report=lambda line: None)

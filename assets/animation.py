@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 
 from assets.gaussians import UNIT_TOLERANCE
-from assets.hdf5 import Hdf5Reader, write_dataset
+from assets.hdf5 import Hdf5Reader, write_dataset, write_text
 from core.errors import BadInput
 from core.rotation import (
     conjugate_quaternions,
@@ -217,7 +217,7 @@ def write_animation(file: h5py.File, a: Animation) -> None:
     write_dataset(file, "animation/weights", a.weights, np.float32)
     write_dataset(file, "animation/driven", a.driven, np.uint8)
     file["animation"].attrs["fps"] = float(a.fps)
-    file["animation"].attrs["names"] = json.dumps(a.names)
+    write_text(file["animation"], "names", json.dumps(a.names))
 
 
 def read_animation(file: Hdf5Reader) -> Animation:

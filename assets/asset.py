@@ -13,7 +13,7 @@ from assets.animation import Animation, read_animation, write_animation
 from assets.environment import Environment, read_environment, write_environment
 from assets.file_access import atomic_write
 from assets.gaussians import ROWS, Gaussians
-from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset
+from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
 from assets.images import check_thumbnail
 from assets.integers import read_grid, write_grid
 from assets.quantisation import (
@@ -156,7 +156,7 @@ class Asset:
         with open_hdf5(Path(path)) as file:
             quantised = _version(file) == QUANTISED
             gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
-            sort = file.text("", "sort") if file.has_attribute("", "sort") else ""
+            sort = file.text("", "sort") if file.has_text("", "sort") else ""
             gaussians = replace(gaussians, objects=_read_objects(file), sort=sort)
             cage = _read_cage(file) if file.has("cage") else None
             embedding = None
@@ -184,13 +184,13 @@ class Asset:
         self.check(str(path))
         libver = ("v110", "v110") if quantised else None  # 20 kB less, but HDF5 of before 2016 cannot read it
         with atomic_write(path) as beside, new_hdf5(beside, libver) as file:
-            file.attrs["format"] = FORMAT
+            write_text(file, "format", FORMAT)
             file.attrs["version"] = QUANTISED if quantised else LOSSLESS
-            file.attrs["provenance"] = json.dumps(self.provenance)
+            write_text(file, "provenance", json.dumps(self.provenance))
             if self.gaussians.objects:
-                file.attrs["objects"] = json.dumps(self.gaussians.objects)
+                write_text(file, "objects", json.dumps(self.gaussians.objects))
             if self.gaussians.sort:
-                file.attrs["sort"] = self.gaussians.sort
+                write_text(file, "sort", self.gaussians.sort)
             lossless = {"cage": self.cage}
             if quantised:
                 write_quantised_gaussians(file, self.gaussians)
@@ -263,7 +263,7 @@ def _read_gaussians(file: Hdf5Reader) -> Gaussians:
 
 
 def _read_objects(file: Hdf5Reader) -> tuple[str, ...]:
-    names = file.json("", "objects") if file.has_attribute("", "objects") else []
+    names = file.json("", "objects") if file.has_text("", "objects") else []
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise file.error("the names of its objects are no list of texts")
     return tuple(names)

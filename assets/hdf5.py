@@ -22,9 +22,11 @@ from assets.file_access import UNPACK_BASE, file_size, unpack_bound
 from core.errors import BadInput
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-HEAP = b"GCOL\1\0\0\0"  # eight bytes: no chance match in a file of less than an exabyte
+ATTRIBUTE, CONTINUATION = 0x0C, 0x10  # kinds of messages in the header of an object
+BLOCKS_MAX, BLOCK_SIZE_MAX = 16, 1 << 20  # of such a header; [bytes]
 CHUNK_ENTRY_MIN = 8  # [bytes] of a stored chunk's entry in the index: its address
-TEXT_MAX = 1 << 20  # [characters] of a text attribute
+TEXT_MAX = 1 << 20  # [bytes] of a text
+ATTRIBUTE_TEXT_MAX = 60_000  # [bytes]; HDF5 takes less than 64 KiB with all that is around it
 
 
 class Hdf5Reader:
@@ -43,6 +45,10 @@ class Hdf5Reader:
     def has(self, name: str) -> bool:
         """True if a group or dataset of that name is there."""
         return self._find(name) is not None
+
+    def has_text(self, name: str, key: str) -> bool:
+        """True if there is something for `text` to read."""
+        return self.has(f"{name}/{key}" if name else key) or self.has_attribute(name, key)
 
     def has_attribute(self, name: str, key: str) -> bool:
         """True if the group or dataset `name` ("" is the root) is there and has the attribute."""
@@ -126,97 +132,122 @@ class Hdf5Reader:
 
     def number(self, name: str, key: str) -> float:
         """A scalar attribute of the group or dataset `name` ("" is the root)."""
-        value = self._attribute(name, key)
-        if np.ndim(value) != 0 or not isinstance(value, (int, float, np.integer, np.floating)):
-            raise self.error(f"attribute {key!r} of {name or 'the file'} is not a number")
-        return float(value)
+        return float(self._attribute(name, key, (), "a number"))
 
     def vector(self, name: str, key: str) -> np.ndarray:
         """An attribute of three numbers, float64."""
-        value = np.asarray(self._attribute(name, key))
-        if value.shape != (3,) or value.dtype.kind not in "fiu":
-            raise self.error(f"attribute {key!r} of {name} is not three numbers")
-        return value.astype(np.float64)
+        return self._attribute(name, key, (3,), "three numbers").astype(np.float64)
 
-    def text(self, name: str, key: str) -> str:
-        """A text attribute."""
-        value = self._attribute(name, key)
-        if isinstance(value, bytes):
-            value = value.decode("utf-8")
-        if not isinstance(value, str) or len(value) > TEXT_MAX:
-            raise self.error(
-                f"attribute {key!r} of {name or 'the file'} is not a text of at most {TEXT_MAX} characters"
-            )
-        return str(value)
-
-    def json(self, name: str, key: str):
-        """The value of a text attribute that holds JSON."""
-        try:
-            return json.loads(self.text(name, key))
-        except (ValueError, RecursionError) as e:
-            raise self.error(f"attribute {key!r} of {name or 'the file'} is not JSON") from e
-
-    def _attribute(self, name: str, key: str):
+    def _attribute(self, name: str, key: str, shape: tuple[int, ...], expected: str):
+        """An attribute of numbers."""
         node = self._find(name) if name else self._file
         if node is None or key not in node.attrs:
             raise self.error(f"missing attribute {key!r} of {name or 'the file'}")
         stored = node.attrs.get_id(key)
-        plain = stored.dtype.kind in "fiu" or h5py.check_string_dtype(stored.dtype) is not None
-        text = h5py.check_string_dtype(stored.dtype)
-        shapes = ((),) if text else ((), (3,))
-        if stored.shape not in shapes or not plain or stored.dtype.itemsize > TEXT_MAX:
-            raise self.error(f"attribute {key!r} of {name or 'the file'} is neither a number nor a text")
-        if text and text.length is None:
-            with open(self.path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                self._check_heaps(data)
-                self._check_text_length(data, key)
+        if stored.shape != shape or stored.dtype.kind not in "fiu":
+            raise self.error(f"attribute {key!r} of {name or 'the file'} is not {expected}")
         return node.attrs[key]
 
-    def _check_text_length(self, data: mmap.mmap, key: str) -> None:
-        """Check the length that an attribute claims for its text of variable length: HDF5 allocates and clears that.
+    def text(self, name: str, key: str) -> str:
+        """A text of the group or dataset `name` ("" is the root), as `write_text` writes it, or an attribute."""
+        where = f"{key!r} of {name or 'the file'}"
+        path = f"{name}/{key}" if name else key
+        if self.has(path):
+            content = self.array(path, "iu", (None,)).astype(np.uint8).tobytes()
+        else:
+            content = self._text_attribute(name, key, where)
+        try:
+            if len(content) <= TEXT_MAX:
+                return content.decode()
+        except UnicodeDecodeError:
+            pass
+        raise self.error(f"{where} is not a text of at most {TEXT_MAX} bytes")
 
-        The file is searched for attribute messages of this name, since HDF5 does not tell where they are. One is its
-        version [1 byte], flags [1], the sizes of name, datatype and dataspace [2 each], from version 3 on a character
-        set [1]; then these three, padded to 8 bytes in version 1; then the text's length [4] and place in a heap.
-        """
-        name, found = key.encode() + b"\0", 0
-        at = data.find(name)
-        while at >= 0:
-            for header, versions in ((8, (1, 2)), (9, (3,))):
-                if at < header or data[at - header] not in versions:
-                    continue
-                sizes = np.frombuffer(data[at - header + 2 : at - header + 8], "<u2").astype(int)
-                if sizes[0] != len(name):
-                    continue
-                start = at + int((-(-sizes // 8) * 8 if data[at - header] == 1 else sizes).sum())
-                found += 1
-                if int.from_bytes(data[start : start + 4], "little") > min(self._size, 4 * TEXT_MAX):
-                    raise self.error(
-                        f"attribute {key!r} claims a text longer than the file or than {TEXT_MAX} characters"
-                    )
-            at = data.find(name, at + 1)
-        if not found:
-            raise self.error(f"attribute {key!r} is stored in a form that this program does not read")
+    def json(self, name: str, key: str):
+        """The value of a text that holds JSON."""
+        try:
+            return json.loads(self.text(name, key))
+        except (ValueError, RecursionError) as e:
+            raise self.error(f"{key!r} of {name or 'the file'} is not JSON") from e
 
-    def _check_heaps(self, data: mmap.mmap) -> None:
-        """Walk the heaps that hold texts of variable length: HDF5 loops forever in a damaged one.
+    def _text_attribute(self, name: str, key: str, where: str) -> bytes:
+        """The content of an attribute with a text of fixed length, or of variable length as in older files."""
+        node = self._find(name) if name else self._file
+        if node is None or key not in node.attrs:
+            raise self.error(f"missing {where}")
+        stored = node.attrs.get_id(key)
+        kind = h5py.check_string_dtype(stored.dtype)
+        if stored.shape != () or kind is None or stored.dtype.itemsize > TEXT_MAX:
+            raise self.error(f"{where} is not a text of at most {TEXT_MAX} bytes")
+        if kind.length is not None:
+            return bytes(node.attrs[key])
+        base, address = self._file.userblock_size, h5py.h5o.get_info(node.id).addr
+        with open(self.path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            content = variable_text(data, base, base + address, key.encode())
+        if content is None:
+            raise self.error(f"{where} is damaged, or stored in a form that this program does not read")
+        return content
 
-        A heap is "GCOL", 1, 3 zeros and its size [8 bytes]; then objects of an index [2], 6 bytes, a
-        size [8] and the padded data. Index 0 is what is left free, its header included.
-        """
-        at = data.find(HEAP)
-        while at >= 0:
-            end = at + int.from_bytes(data[at + 8 : at + 16], "little")
-            at += 16
-            while at + 16 <= end <= len(data):
-                size = int.from_bytes(data[at + 8 : at + 16], "little")
-                if data[at : at + 2] == b"\0\0":
-                    at += size
-                    break
-                at += 16 + -(-size // 8) * 8
-            if not end - 16 < at <= end:
-                raise self.error("a heap of texts is damaged")
-            at = data.find(HEAP, at)
+
+def variable_text(data: mmap.mmap, base: int, address: int, key: bytes) -> bytes | None:
+    """Content of an attribute with a text of variable length; None if it is damaged or elsewhere.
+
+    Files of this program had these until 2026. HDF5 2.0 cannot be trusted with one: it allocates and clears the length
+    that the attribute claims, up to 4 GiB, and loops for ever in a damaged heap. `address` is that of the object's
+    header in the file, whose addresses count from `base`.
+    """
+    for start, size in header_messages(data, base, address):
+        version = data[start]
+        head = start + {1: 8, 2: 8, 3: 9}.get(version, size)
+        sizes = [integer(data, start + at, 2) for at in (2, 4, 6)]  # of name, datatype and dataspace
+        if data[head : head + sizes[0]] == key + b"\0":
+            value = head + sum(-(-n // 8) * 8 if version == 1 else n for n in sizes)
+            length, heap, index = integer(data, value, 4), integer(data, value + 4, 8), integer(data, value + 12, 4)
+            return b"" if length == 0 else heap_object(data, base + heap, index, length)
+    return None
+
+
+def header_messages(data: mmap.mmap, base: int, address: int) -> Iterator[tuple[int, int]]:
+    """Start and size of the attributes in an object's header, of versions 1 and 2 of the format."""
+    latest = data[address : address + 4] == b"OHDR"
+    if latest:
+        flags = integer(data, address + 5, 1)
+        first, width = address + 6 + 16 * (flags >> 5 & 1) + 4 * (flags >> 4 & 1), 1 << (flags & 3)
+        blocks = [(first + width, integer(data, first, width))]
+    else:
+        flags, blocks = 0, [(address + 16, integer(data, address + 8, 4))]
+    prefix = 4 + 2 * (flags >> 2 & 1) if latest else 8  # [bytes] before a message
+    for at, size in blocks:
+        end = min(at + min(size, BLOCK_SIZE_MAX), len(data))
+        while at + prefix <= end:
+            kind, size = (
+                (integer(data, at, 1), integer(data, at + 1, 2))
+                if latest
+                else (integer(data, at, 2), integer(data, at + 2, 2))
+            )
+            at += prefix
+            if kind == ATTRIBUTE and at < len(data):
+                yield at, size
+            elif kind == CONTINUATION and len(blocks) < BLOCKS_MAX:
+                there, length = base + integer(data, at, 8), integer(data, at + 8, 8)
+                blocks.append((there + 4, length - 8) if latest else (there, length))  # "OCHK", and a checksum behind
+            at += size
+
+
+def heap_object(data: mmap.mmap, heap: int, index: int, length: int) -> bytes | None:
+    """An object of a global heap; None if it is not there, or not of this length."""
+    at, end = heap + 16, min(heap + integer(data, heap + 8, 8), len(data))
+    while data[heap : heap + 4] == b"GCOL" and at < end and integer(data, at, 2):
+        size = integer(data, at + 8, 8)
+        if integer(data, at, 2) == index:
+            return data[at + 16 : at + 16 + size] if size == length else None
+        at += 16 + -(-size // 8) * 8
+    return None
+
+
+def integer(data: mmap.mmap, at: int, size: int) -> int:
+    """An unsigned integer of the file; what lies beyond its end counts as zeros."""
+    return int.from_bytes(data[at : at + size], "little")
 
 
 @contextmanager
@@ -248,3 +279,12 @@ def new_hdf5(path: Path, libver: tuple[str, str] | None = None) -> Iterator[h5py
 def write_dataset(file: h5py.File, name: str, values: np.ndarray, dtype) -> None:
     """Write a compressed dataset."""
     file.create_dataset(name, data=np.asarray(values, dtype), compression="gzip", shuffle=True)
+
+
+def write_text(node: h5py.Group, key: str, text: str) -> None:
+    """Write a text as an attribute of fixed length, or, where that is too long for HDF5, as a dataset of bytes."""
+    content = text.encode()
+    if len(content) < ATTRIBUTE_TEXT_MAX:
+        node.attrs[key] = np.array(content or b"\0", "S")
+    else:
+        node.create_dataset(key, data=np.frombuffer(content, np.uint8))

@@ -246,7 +246,7 @@ def open_state(args: argparse.Namespace) -> SceneState | None:
     if not args.state:
         return None
     from display.keep.state_file import read_state
-    from display.record.recording import OPTIONS
+    from display.record.recording_reader import OPTIONS
 
     state, named = read_state(args.state), args.scene
     known = {key: state.about[key] for key in OPTIONS if key in state.about and key != "state"}

@@ -18,7 +18,7 @@ from core.errors import BadInput, Cancelled
 from core.measured_length import scale_between
 from core.runtime import end_taichi, is_out_of_memory, start_taichi
 from display.protocol import Display, Frame
-from display.user_commands import OPENING, AddBody, CancelOpening, Command, Measure, OpenScene, Rescale, SwapRoom
+from display.user_commands import AddBody, CancelOpening, Command, Measure, OpeningCommand, OpenScene, Rescale, SwapRoom
 from scenes.registry import label
 
 if TYPE_CHECKING:
@@ -141,8 +141,8 @@ class Session:
             shown = self.replay.frames if self.replay else self.display.frames
             frames = shown(self.display, self.world, paced=not self.args.headless) if self.replay else shown(self.world)
             for frame in frames:
-                requests = [c for c in frame.commands if isinstance(c, OPENING)]
-                frame.commands = [c for c in frame.commands if not isinstance(c, OPENING)]
+                requests = [c for c in frame.commands if isinstance(c, OpeningCommand)]
+                frame.commands = [c for c in frame.commands if not isinstance(c, OpeningCommand)]
                 yield frame
                 for request in requests:
                     self._take(request)

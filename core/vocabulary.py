@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from core.material import Material
+from core.typed import Range
 
 Vec3 = tuple[float, float, float]
+Coordinate = Annotated[float, Range(-1e6, 1e6)]  # [m] in a file
+Point = tuple[Coordinate, Coordinate, Coordinate]
 Quat = tuple[float, float, float, float]
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 
@@ -73,11 +76,11 @@ class Light:
     width of the shadow's edge.
     """
 
-    position: Vec3
-    target: Vec3 = (0.0, 0.0, 0.0)
+    position: Point
+    target: Point = (0.0, 0.0, 0.0)
     kind: Literal["point", "directional"] = "point"
-    strength: float = 0.55
-    softness: float = 0.02
+    strength: Annotated[float, Range(0, 1)] = 0.55
+    softness: Annotated[float, Range(0, 1)] = 0.02
 
 
 @dataclass(frozen=True)

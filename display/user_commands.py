@@ -1,55 +1,77 @@
-"""Commands: requests of the user between two frames, which displays send and a world, its editor or session obey."""
+"""Commands: requests of the user between two frames, which displays send and a world, its editor or session obey.
+
+This module declares them: their fields, their names in recordings and in messages of pages, and their order.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
+from core.errors import BadInput
 from core.material import Material
+from core.typed import Range, Size, field_types, from_plain, to_plain
 from core.vocabulary import Light
 
 MIN_TIME_SCALE = 0.05  # slower, a frame moves nothing that can be seen
+KINDS: list[type[Command]] = []  # of commands; those of one frame are carried out in this order, that of the module
+BodyIndex = Annotated[int, Range(0, 1_000_000)]
+FilePath = Annotated[str, Size(4096)]
 
-# Commands: requests of the user between two frames. A body is named by its index; None is the selected body, the one
-# last held or pointed at. A command of a drag is `continued` if it goes on with the last one: undo takes back the drag.
+
+class Command:
+    """Base of all commands.
+
+    A body is named by its index; None is the selected body, the one last held or pointed at. A command of a drag is
+    `continued` if it goes on with the last one: undo takes back the whole drag.
+
+    key  its name in recordings; "": it does not change the world, and is not recorded
+    """
+
+    key: ClassVar[str] = ""
+
+    def __init_subclass__(cls, key: str = ""):
+        cls.key = key
+        KINDS.append(cls)
 
 
 @dataclass(frozen=True)
-class PlayDemo:
+class PlayDemo(Command, key="demo"):
     """Let the scene's scripted hand play from the start, or stop it."""
 
     on: bool
 
 
 @dataclass(frozen=True)
-class Reset:
+class Reset(Command, key="reset"):
     """Put the scene's own bodies back to their start and restart the game."""
 
 
 @dataclass(frozen=True)
-class LoadState:
+class LoadState(Command, key="load"):
     """Go on from a state that was saved; "": the one of this scene that was saved last."""
 
-    path: str = ""
+    path: FilePath = ""
 
 
 @dataclass(frozen=True)
-class SetLight:
+class SetLight(Command, key="light"):
     """Replace the light."""
 
     light: Light
 
 
 @dataclass(frozen=True)
-class SetInteraction:
+class SetInteraction(Command, key="interaction"):
     """Choose what a grip does: deform and throw bodies, or move them rigidly while time stands still."""
 
     mode: Literal["physics", "transform"]
 
 
 @dataclass(frozen=True)
-class SetGravity:
+class SetGravity(Command, key="gravity"):
     """Let bodies fall with another acceleration [m/s^2]."""
 
     gravity: tuple[float, float, float]
@@ -57,7 +79,7 @@ class SetGravity:
 
 
 @dataclass(frozen=True)
-class SetTimeScale:
+class SetTimeScale(Command, key="time_scale"):
     """Let time pass more slowly: seconds of the world in a second of the user's, MIN_TIME_SCALE to 1."""
 
     scale: float
@@ -65,54 +87,54 @@ class SetTimeScale:
 
 
 @dataclass(frozen=True)
-class Select:
+class Select(Command, key="select"):
     """Select a body, or none."""
 
-    body: int | None
+    body: BodyIndex | None
 
 
 @dataclass(frozen=True)
-class Remove:
+class Remove(Command, key="remove"):
     """Remove a body."""
 
-    body: int | None = None
+    body: BodyIndex | None = None
 
 
 @dataclass(frozen=True)
-class Duplicate:
+class Duplicate(Command, key="duplicate"):
     """Put a copy of a body above it, or beside it if it is animated."""
 
-    body: int | None = None
+    body: BodyIndex | None = None
 
 
 @dataclass(frozen=True)
-class Rescale:
+class Rescale(Command, key="rescale"):
     """Scale a body by a factor."""
 
-    body: int | None
+    body: BodyIndex | None
     factor: float
 
 
 @dataclass(frozen=True)
-class Rotate:
+class Rotate(Command, key="rotate"):
     """Rotate a body about its centre by a quaternion (wxyz)."""
 
-    body: int | None
+    body: BodyIndex | None
     rotation: tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(Command, key="place"):
     """Move a body by an offset [m], and turn it by a quaternion (wxyz) about its centre; it comes to rest there."""
 
-    body: int | None
+    body: BodyIndex | None
     offset: tuple[float, float, float]
     rotation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     continued: bool = False
 
 
 @dataclass(frozen=True)
-class TurnRoom:
+class TurnRoom(Command, key="turn_room"):
     """Turn the user's room by a quaternion (wxyz) about what the scene looks at, with all that is in it."""
 
     rotation: tuple[float, float, float, float]
@@ -120,54 +142,57 @@ class TurnRoom:
 
 
 @dataclass(frozen=True)
-class SetMaterial:
+class SetMaterial(Command, key="material"):
     """Make a body of another material, given or named (core/material.py)."""
 
-    body: int | None
+    body: BodyIndex | None
     material: Material | str
     continued: bool = False
 
 
 @dataclass(frozen=True)
-class Undo:
+class Undo(Command, key="undo"):
     """Undo the last edit, grasp or change of light."""
 
 
 @dataclass(frozen=True)
-class Redo:
+class Redo(Command, key="redo"):
     """Redo the edit that was undone last."""
 
 
 @dataclass(frozen=True)
-class Pause:
+class Pause(Command, key="pause"):
     """Stop the simulation, or let it run."""
 
     on: bool
 
 
 @dataclass(frozen=True)
-class SingleStep:
+class SingleStep(Command, key="step"):
     """Simulate this one frame although the world is paused."""
 
 
 @dataclass(frozen=True)
-class Settle:
+class Settle(Command, key="settle"):
     """After this frame, go on as from a saved state: forget what that does not hold, the impulses of contacts."""
 
 
-# Commands that write files, beside the frame and without changing the world (display/keep/). `size` is that of the
-# picture [px]; None: as large as it is drawn, which a window may shrink while things move.
+# Commands that write files and do not change the world (display/keep/).
+
+
+class PictureCommand(Command):
+    """A command about the whole picture, `size` [px]; None: as it is drawn, which a window may shrink in motion."""
 
 
 @dataclass(frozen=True)
-class TakePicture:
+class TakePicture(PictureCommand):
     """Write the picture as a PNG."""
 
     size: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
-class Film:
+class Film(PictureCommand):
     """Begin to write a film of the picture, or finish it."""
 
     on: bool
@@ -175,14 +200,14 @@ class Film:
 
 
 @dataclass(frozen=True)
-class WriteCamera:
+class WriteCamera(PictureCommand):
     """Write the camera as a CAM.json, for `vrgs.py render`."""
 
     size: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(Command):
     """Write the scene, or one body, for other programs (display/keep/scene_export.py).
 
     kind     ending of a splat file, or "vtu": the cages, "obj": their surfaces
@@ -191,12 +216,12 @@ class Export:
     """
 
     kind: Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"] = "ply"
-    body: int | None = None
+    body: BodyIndex | None = None
     shadows: bool = True
 
 
 @dataclass(frozen=True)
-class SaveState:
+class SaveState(Command):
     """Settle, and write the state of the scene (display/keep/state_file.py).
 
     path  "": a new name;   view  eye and target [m]; None: those of the picture
@@ -207,21 +232,25 @@ class SaveState:
 
 
 @dataclass(frozen=True)
-class KeepFrame:
+class KeepFrame(Command):
     """Write a body's up, front and size as they are into its asset file (display/keep/kept_frame.py)."""
 
-    body: int | None = None
+    body: BodyIndex | None = None
 
 
 @dataclass(frozen=True)
-class SetSound:
+class SetSound(Command):
     """Let impacts be heard, or not."""
 
     on: bool
 
 
+class OpeningCommand(Command):
+    """A command that the session carries out (commands/play_session.py), not the world."""
+
+
 @dataclass(frozen=True)
-class OpenScene:
+class OpenScene(OpeningCommand):
     """Play another scene: named, with its options, and files of the user's as bodies and room."""
 
     name: str
@@ -231,14 +260,21 @@ class OpenScene:
 
 
 @dataclass(frozen=True)
-class SwapRoom:
+class SwapRoom(OpeningCommand):
     """Play the same scene in another room, a file; None: in its own."""
 
     path: str | None
 
 
 @dataclass(frozen=True)
-class Measure:
+class AddBody(OpeningCommand):
+    """Put a body made from a file over the play."""
+
+    path: str
+
+
+@dataclass(frozen=True)
+class Measure(OpeningCommand):
     """Let two points (3,) [m] of what is seen be a length [m] apart: the size of the body that has both is set by that,
     else that of the user's room, or of the file that is looked at."""
 
@@ -248,14 +284,7 @@ class Measure:
 
 
 @dataclass(frozen=True)
-class AddBody:
-    """Put a body made from a file over the play."""
-
-    path: str
-
-
-@dataclass(frozen=True)
-class CancelOpening:
+class CancelOpening(OpeningCommand):
     """Give up what is being opened."""
 
 
@@ -263,40 +292,40 @@ class CancelOpening:
 
 
 @dataclass(frozen=True)
-class ViewFiles:
+class ViewFiles(Command):
     """Show these files, too; the first of them now."""
 
     paths: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class NextFile:
+class NextFile(Command):
     """Show the next file, or that many files on."""
 
     step: int = 1
 
 
 @dataclass(frozen=True)
-class TurnUp:
+class TurnUp(Command):
     """Let an axis of the file point up, "+x" to "-z"; "": the next one."""
 
     up: str = ""
 
 
 @dataclass(frozen=True)
-class ShowAxes:
+class ShowAxes(Command):
     """Show the axes, or not."""
 
     on: bool
 
 
 @dataclass(frozen=True)
-class NextBackground:
+class NextBackground(Command):
     """Show the next colour of background."""
 
 
 @dataclass(frozen=True)
-class Crop:
+class Crop(Command):
     """Show only what lies between two corners [m]."""
 
     low: tuple[float, float, float]
@@ -304,68 +333,73 @@ class Crop:
 
 
 @dataclass(frozen=True)
-class WriteSplats:
+class WriteSplats(Command):
     """Write what is shown of the file as a splat file of its own."""
 
 
-Command = (
-    PlayDemo
-    | Reset
-    | LoadState
-    | SetLight
-    | SetInteraction
-    | SetGravity
-    | SetTimeScale
-    | Select
-    | Remove
-    | Duplicate
-    | Rescale
-    | Rotate
-    | Place
-    | TurnRoom
-    | SetMaterial
-    | Undo
-    | Redo
-    | Pause
-    | SingleStep
-    | Settle
-    | TakePicture
-    | Film
-    | WriteCamera
-    | Export
-    | SaveState
-    | KeepFrame
-    | SetSound
-    | OpenScene
-    | SwapRoom
-    | AddBody
-    | Measure
-    | CancelOpening
-    | ViewFiles
-    | NextFile
-    | TurnUp
-    | ShowAxes
-    | NextBackground
-    | Crop
-    | WriteSplats
-)
-SIZED = (TakePicture, Film, WriteCamera)  # about the whole picture, however small it is drawn at the moment
-OPENING = (
-    OpenScene,
-    SwapRoom,
-    AddBody,
-    Measure,
-    CancelOpening,
-)  # carried out by the session (commands/play.py), not the world
-ORDER = Command.__args__  # in which the commands of one frame are carried out
 C = TypeVar("C", bound=Command)
 
 
 def in_order(commands: Iterable[Command]) -> list[Command]:
     """The commands of one frame in the order in which they are carried out; of several of a kind the last one."""
-    return sorted({type(c): c for c in commands}.values(), key=lambda c: ORDER.index(type(c)))
+    return sorted({type(c): c for c in commands}.values(), key=lambda c: KINDS.index(type(c)))
 
 
 def last_of(kind: type[C], commands: Iterable[Command]) -> C | None:
     """The last command of a kind, or None."""
     return next((c for c in reversed(list(commands)) if isinstance(c, kind)), None)
+
+
+def commands_to_plain(commands: Iterable[Command]) -> dict[str, Any]:
+    """The recorded commands of a frame as plain data, by their keys: {"pause": true, "rescale": [3, 1.25]}.
+
+    A command without fields is true, one with one field is its value, one with more a list without the last ones that
+    have their default values. A state that is saved is recorded as `Settle`, which is how it changes the world.
+    """
+    plain = {}
+    for command in (Settle() if isinstance(c, SaveState) else c for c in commands):
+        if command.key:
+            given = [getattr(command, f.name) for f in fields(command)]
+            while len(given) > 1 and given[-1] == fields(command)[len(given) - 1].default:
+                given.pop()
+            plain[command.key] = True if not given else to_plain(given[0] if len(fields(command)) == 1 else given)
+    return plain
+
+
+def commands_from_plain(plain: Mapping[str, Any], where: str) -> list[Command]:
+    """The commands of `commands_to_plain`; a command without fields that is false is none. Raises BadInput."""
+    kinds = {kind.key: kind for kind in KINDS if kind.key}
+    commands = []
+    for key, value in plain.items():
+        if key not in kinds:
+            raise BadInput(f"{where}: the command {key[:60]!r} is unknown")
+        kind, at = kinds[key], f"{where}: the command {key!r}"
+        types = list(field_types(kind).values())
+        if not types:
+            commands += [kind()] if from_plain(bool, value, at) else []
+            continue
+        needed = sum(f.default is MISSING for f in fields(kind))
+        values = [value] if len(types) == 1 else value
+        given = min(max(len(values), needed), len(types)) if isinstance(values, list) else needed
+        commands.append(kind(*from_plain(tuple[tuple(types[:given])], values, at)))
+    return commands
+
+
+def unnamed(plain: dict[str, Any]) -> Any:
+    """A Light or Material of a recording of version 3 or before, {"Light": {...}}, as its fields: a hook for JSON."""
+    return next(iter(plain.values())) if plain.keys() in ({"Light"}, {"Material"}) else plain
+
+
+def commands_to_text(frame: int, commands: Iterable[Command]) -> str:
+    """The recorded commands of a frame as one line of JSON: {"frame": 12, "pause": true}."""
+    return json.dumps({"frame": frame, **commands_to_plain(commands)})
+
+
+def commands_from_text(text: str, where: str) -> tuple[int, list[Command]]:
+    """The frame's index and its commands. Raises BadInput."""
+    try:
+        plain = json.loads(text, object_hook=unnamed)
+        frame = plain.pop("frame")
+    except (ValueError, RecursionError, AttributeError, KeyError, TypeError) as e:
+        raise BadInput(f"{where}: a line of commands is not JSON with a frame") from e
+    return from_plain(int, frame, where), commands_from_plain(plain, where)

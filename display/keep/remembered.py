@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
+from core.errors import BadInput
+from core.typed import from_plain, to_plain
 from core.vocabulary import Light
 from display.preferences import Preferences
 from display.protocol import Frame
-from display.record.codec import checked_value
 from display.user_commands import LoadState, SetLight
 
 
@@ -34,14 +35,14 @@ class Remembered:
     def _light(self) -> Light | None:
         stored = self._preferences.get(f"light.{self._scene}", {})
         try:
-            light = checked_value({"Light": stored}, Light)
-        except (LookupError, TypeError, ValueError):
+            light = from_plain(Light, stored, "light")
+        except BadInput:
             return None
         sound = all(abs(x) < 1e3 for x in (*light.position, *light.target)) and light.position != light.target
-        return light if sound and 0 <= light.strength <= 1 and 0 <= light.softness <= 1 else None
+        return light if sound else None
 
     def keep(self, world) -> None:
         """Note the light that the user has left, if it is not the scene's own."""
         own, now = world.scene.light, world.light
         if self._lit and now is not None:
-            self._preferences.set(f"light.{self._scene}", None if now == own else asdict(now))
+            self._preferences.set(f"light.{self._scene}", None if now == own else to_plain(now))

@@ -28,21 +28,21 @@ display/keep/plain_values.py encodes it), or null.
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import h5py
 import numpy as np
 
 from assets.file_access import atomic_write
 from assets.gaussians import MAGNITUDE_MAX
-from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset
-from core.errors import BadInput
+from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
 from core.material import Material
-from core.vocabulary import Hand, Light
-from display.record.codec import checked_value
+from core.typed import Range, Size, from_json, to_json
+from core.vocabulary import Coordinate, Hand, Light, Point
 from display.record.recording_reader import checked_about
 from sim.hands.grasp import Grasp, GraspState
 from sim.model import MAX_BODIES
@@ -53,7 +53,11 @@ FORMAT, VERSION = "vrgs-state", 1
 TIME_MAX = 1e9  # [s]
 HANDS_MAX, POSES_MAX = 16, 1000
 MATERIAL_FIELDS = tuple(f.name for f in fields(Material))
-TEXT_MAX = 200  # characters of a name
+Seconds = Annotated[float, Range(0, TIME_MAX)]
+Row = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+Text = Annotated[str, Size(4096)]
+Assets = Annotated[tuple[tuple[Text, Text], ...], Size(1000)]
+Added = Annotated[tuple[tuple[Text, Text, Text], ...], Size(1000)]
 
 
 @dataclass(frozen=True)
@@ -79,19 +83,37 @@ class SavedAnimation:
 
 
 @dataclass(frozen=True)
+class SavedGame:
+    """Name of a game's class, and its attributes as display/keep/scene_state.py encodes them."""
+
+    name: str
+    state: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class Settings:
     """All numbers and names that belong to no body; see above."""
 
-    time: float
-    owed: float
-    gravity: tuple[float, float, float]
-    time_scale: float
-    interaction: str
+    time: Seconds
+    owed: Seconds
+    gravity: Point
+    time_scale: Annotated[float, Range(1e-6, 1)]
+    interaction: Literal["physics", "transform"]
     light: Light | None
-    eye: tuple[float, float, float]
-    target: tuple[float, float, float]
-    game: dict | None
-    room: tuple[tuple[float, float, float, float], ...] = tuple(map(tuple, np.eye(4).tolist()))
+    eye: Point
+    target: Point
+    game: SavedGame | None
+    room: tuple[Row, Row, Row, Row] = tuple(map(tuple, np.eye(4).tolist()))
+    material_names: Annotated[tuple[str, ...], Size(MAX_BODIES)] = ()
+
+    def __post_init__(self):
+        if self.eye == self.target:
+            raise ValueError("the eye is at its target")
+        pose = np.array(self.room)
+        if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-6 or np.linalg.det(pose[:3, :3]) < 0:
+            raise ValueError("room is not a rotation and a translation")
+        if self.room[3] != (0, 0, 0, 1):
+            raise ValueError("the last row of room is not 0, 0, 0, 1")
 
 
 @dataclass(frozen=True)
@@ -99,8 +121,8 @@ class SceneState:
     """All that a file holds. `motion` (4, V, 3) float32 and `untangling` (3, B) as Solver.snapshot gives them."""
 
     about: dict
-    assets: tuple[tuple[str, str], ...]
-    added: tuple[tuple[str, str, str], ...]
+    assets: Assets
+    added: Added
     bodies: tuple[SavedBody, ...]
     motion: np.ndarray
     untangling: np.ndarray
@@ -115,15 +137,12 @@ def read_state(path: str | Path) -> SceneState:
         if file.text("", "format") != FORMAT:
             raise file.error("is not a saved state of VR-GS")
         if file.number("", "version") != VERSION:
-            raise file.error(f"is a state of version {file.number('', 'version'):g}; this program knows {VERSION}")
-        try:
-            about = checked_about(file.text("", "about"))
-            assets = checked_texts(file.json("", "assets"), 2)
-            added = checked_texts(file.json("", "added"), 3)
-            names, settings = checked_settings(read_json(file, "settings"))
-        except BadInput as e:
-            raise e if str(e).startswith(str(path)) else file.error(str(e)) from e
-        bodies = read_bodies(file, names)
+            raise file.error(f"is a state of version {file.number('', 'version'):g}; this program reads {VERSION}")
+        about = checked_about(file.text("", "about"), str(path))
+        assets = from_json(Assets, file.text("", "assets"), f"{path}: assets")
+        added = from_json(Added, file.text("", "added"), f"{path}: added")
+        settings = from_json(Settings, file.text("", "settings"), f"{path}: settings")
+        bodies = read_bodies(file, settings.material_names)
         count, vertices = len(bodies), sum(b.vertices for b in bodies)
         motion = np.stack([finite(file, f"motion/{name}", (vertices, 3), np.float32) for name in MOTION])
         untangling = finite(file, "bodies/untangling", (3, count))
@@ -134,14 +153,6 @@ def read_state(path: str | Path) -> SceneState:
     return SceneState(about, assets, added, bodies, motion, untangling, animations, hands, settings)
 
 
-def read_json(file: Hdf5Reader, name: str):
-    """The JSON of a dataset of characters."""
-    try:
-        return json.loads(bytes(file.indices(name, (None,), np.uint8)))
-    except (ValueError, RecursionError) as e:
-        raise file.error(f"{name} is not JSON") from e
-
-
 def finite(file: Hdf5Reader, name: str, shape: tuple, dtype=np.float64) -> np.ndarray:
     """A dataset of finite numbers, none beyond MAGNITUDE_MAX."""
     values = file.floats(name, shape, dtype)
@@ -150,60 +161,7 @@ def finite(file: Hdf5Reader, name: str, shape: tuple, dtype=np.float64) -> np.nd
     return values
 
 
-def checked_texts(given, count: int) -> tuple[tuple[str, ...], ...]:
-    """Rows of so many texts of JSON. Raises BadInput."""
-    pairs = given if isinstance(given, list) and len(given) <= 1000 else [None]
-    if not all(isinstance(p, list) and list(map(type, p)) == [str] * count and len("".join(p)) < 4096 for p in pairs):
-        raise BadInput("its list of assets makes no sense")
-    return tuple(map(tuple, pairs))
-
-
-def checked_settings(given) -> tuple[list[str], Settings]:
-    """Names of the bodies' materials, and the settings, of JSON. Raises BadInput."""
-    try:
-        values = dict(given)
-        names, game = values.pop("material_names"), values.pop("game")
-        if not isinstance(names, list) or not all(isinstance(name, str) and len(name) < TEXT_MAX for name in names):
-            raise ValueError
-        if game is not None and not (isinstance(game, dict) and isinstance(game.get("name"), str) and "state" in game):
-            raise ValueError
-        if values["light"] is not None:
-            values["light"] = {"Light": values["light"]}
-        values.setdefault("room", np.eye(4).tolist())  # which earlier files do not have
-        room = np.array(values.pop("room"), np.float64)
-        kinds = {f.name: f.type for f in fields(Settings) if f.name not in ("game", "room")}
-        if values.keys() != kinds.keys():
-            raise ValueError
-        vector = tuple[float, float, float]
-        types = {**dict.fromkeys(("time", "owed", "time_scale"), float), "interaction": str, "light": Light | None}
-        types |= dict.fromkeys(("gravity", "eye", "target"), vector)
-        settings = Settings(**{k: checked_value(v, types[k]) for k, v in values.items()}, game=game)
-        settings = replace(settings, room=tuple(map(tuple, room.tolist())))
-    except (LookupError, TypeError, ValueError, OverflowError) as e:
-        raise BadInput("its settings make no sense") from e
-    light = settings.light
-    numbers = [*settings.gravity, *settings.eye, *settings.target]
-    numbers += [] if light is None else [*light.position, *light.target, light.strength, light.softness]
-    sound = 0 <= settings.time < TIME_MAX and 0 <= settings.owed < TIME_MAX and 0 < settings.time_scale <= 1
-    if not sound or settings.interaction not in ("physics", "transform") or settings.eye == settings.target:
-        raise BadInput("its settings cannot be")
-    if room.shape != (4, 4) or not is_rigid(room):
-        raise BadInput("its settings hold a turn of the room that cannot be")
-    if not all(abs(n) < 1e6 for n in numbers):
-        raise BadInput("its settings hold numbers that cannot be")
-    return names, settings
-
-
-def is_rigid(pose: np.ndarray) -> bool:
-    """True for a rotation and a translation (4, 4)."""
-    R = pose[:3, :3]
-    turns = np.abs(R @ R.T - np.eye(3)).max() < 1e-6 and np.linalg.det(R) > 0
-    return bool(
-        np.isfinite(pose).all() and turns and np.abs(pose[:3, 3]).max() < 1e6 and (pose[3] == [0, 0, 0, 1]).all()
-    )
-
-
-def read_bodies(file: Hdf5Reader, names: list[str]) -> tuple[SavedBody, ...]:
+def read_bodies(file: Hdf5Reader, names: Sequence[str]) -> tuple[SavedBody, ...]:
     """The bodies, without their motion."""
     source = file.indices("bodies/source", (None,))
     count = len(source)
@@ -279,15 +237,15 @@ def spans(counts: np.ndarray) -> list[slice]:
 
 def write_state(path: str | Path, state: SceneState) -> None:
     """Write the file, whole or not at all. Raises BadInput."""
-    bodies, s = state.bodies, state.settings
-    settings = {f.name: getattr(s, f.name) for f in fields(s)} | {"material_names": [b.material_name for b in bodies]}
-    settings["light"] = None if s.light is None else asdict(s.light)
+    bodies = state.bodies
+    settings = replace(state.settings, material_names=tuple(b.material_name for b in bodies))
     materials = [[getattr(b.material, name) for name in MATERIAL_FIELDS] for b in bodies]
     with atomic_write(path) as beside, new_hdf5(beside) as file:
-        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-        for name in ("about", "assets", "added"):
-            file.attrs[name] = json.dumps(getattr(state, name))
-        write_dataset(file, "settings", np.frombuffer(json.dumps(settings).encode(), np.uint8), np.uint8)
+        write_text(file, "format", FORMAT)
+        file.attrs["version"] = VERSION
+        for name, value in {"about": state.about, "assets": state.assets, "added": state.added}.items():
+            write_text(file, name, to_json(value))
+        write_dataset(file, "settings", np.frombuffer(to_json(settings).encode(), np.uint8), np.uint8)
         for name, kind in (("source", np.int32), ("copy", np.uint8), ("asleep", np.uint8), ("vertices", np.int32)):
             write_dataset(file, f"bodies/{name}", [getattr(b, name) for b in bodies], kind)
         write_dataset(file, "bodies/size", [b.size for b in bodies], np.float64)

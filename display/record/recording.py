@@ -1,64 +1,26 @@
-"""Recording of the user's input, frame by frame, as an HDF5 file that replays exactly (display/record/replay.py).
-
-Root attributes: `format` "vrgs-recording", `version`, `about` (JSON: the scene, the options, where kernels ran), and
-`layouts` (JSON: a list of the layouts of hands, see display/record/codec.py).
-
-| dataset | shape, type | |
-| --- | --- | --- |
-| frames/dt, time, step | (F,) float64 | seconds; step 0: the whole dt at once |
-| frames/hands, frames/cameras | (F,) int32 | number of each in a frame |
-| hands/layout | (H,) int32 | of the hands of all frames, concatenated |
-| hands/numbers | (N,) float64 | their values |
-| cameras/values | (C, 22) float64 | width, height, fx, fy, cx, cy, world_to_camera row by row |
-| commands/text | (B,) uint8 | JSON lines, each with its frame: {"frame": 12, "pause": true} |
-| states/frame, states/count | (S,) int64, int32 | frame and number of bodies of each state, about every second |
-| states/centroids | (M, 3) float64 | [m] |
-
-It is written to FILE.part, appended once a second, and renamed at the end. The part of a session that ended abnormally
-is a complete recording up to there: `--replay FILE.h5.part` plays it. A full disk ends it, and it gets its name.
-"""
+"""Recording of the user's input, frame by frame, in a file that replays exactly (display/record/replay.py)."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from assets.file_access import check_writable, reason_of
-from assets.growing_file import GrowingFile
 from core.camera import Camera
 from core.errors import BadInput
+from core.vocabulary import Hand
 from display.protocol import Frame
-from display.record.codec import from_text, pack_hand, to_text
-from display.user_commands import Command
+from display.record.recording_file import DATASETS, Journal, is_locked, write_recording
+from display.record.recording_reader import OPTIONS
+from display.user_commands import Command, commands_from_text, commands_to_text
 
-FORMAT, VERSION = "vrgs-recording", 3  # 1: bodies were not of their own material; 2: there was one body at most
-OPTIONS = ("scene", "body", "stage", "material", "interaction", "embedding", "sort", "seed", "up", "scale", "vertices")
-OPTIONS += ("cells", "pieces", "options", "detail", "state")  # of the command: they make the world what it is
-WRITE_PERIOD = 1.0  # [s] between two states, and between two writings
-CAMERA_SIZE = 22  # numbers of a camera
-CHUNK = {"frames": 1024, "hands/layout": 2048, "hands/numbers": 32768, "cameras": 256, "commands": 4096, "states": 256}
-DATASETS = {
-    "frames/dt": ((), np.float64),
-    "frames/time": ((), np.float64),
-    "frames/step": ((), np.float64),
-    "frames/hands": ((), np.int32),
-    "frames/cameras": ((), np.int32),
-    "hands/layout": ((), np.int32),
-    "hands/numbers": ((), np.float64),
-    "cameras/values": ((CAMERA_SIZE,), np.float64),
-    "commands/text": ((), np.uint8),
-    "states/frame": ((), np.int64),
-    "states/count": ((), np.int32),
-    "states/centroids": ((3,), np.float64),
-}
+WRITE_PERIOD = 1.0  # [s] between two states, and between two blocks of the journal
 
 
 class Recording:
@@ -74,27 +36,15 @@ class Recording:
         self.about: dict = {}
         self.frames = 0
         self._world, self._dt = None, 0.0  # of the last frame
-        self._layouts: dict[str, int] = {}
         self._new: dict[str, list] = {name: [] for name in DATASETS}
         self._since = self._written = 0.0  # [s] of recorded time
         self._writer, self._closed = ThreadPoolExecutor(1), False
-        self._kept = False  # whether a frame is in the file
+        self._blocks = 0  # in the journal
         try:
-            self._growing = GrowingFile(self.part)  # not if it is there: another session may begin at this moment
+            self._journal: Journal | None = Journal(self.part)  # another session may begin at this moment
         except FileExistsError as e:
             raise BadInput(f"{self.part} {why_it_is_there(self.part)}") from e
         except OSError as e:
-            raise BadInput(f"{self.path}: cannot be written ({reason_of(e)})") from e
-        self._file = h5py.File(self._growing, "w")
-        self._file.attrs["format"], self._file.attrs["version"] = FORMAT, VERSION
-        for name, (shape, kind) in DATASETS.items():
-            rows = next(n for prefix, n in CHUNK.items() if name.startswith(prefix))
-            how = {"maxshape": (None, *shape), "chunks": (rows, *shape)}
-            self._file.create_dataset(name, (0, *shape), kind, **how)
-        try:
-            self._commit()
-        except OSError as e:
-            self._end()
             raise BadInput(f"{self.path}: cannot be written ({reason_of(e)})") from e
 
     def __enter__(self) -> Recording:
@@ -118,9 +68,8 @@ class Recording:
         new["frames/step"].append(frame.max_step or 0.0)
         new["frames/hands"].append(len(frame.hands))
         for hand in frame.hands:
-            layout, numbers = pack_hand(hand)
-            text = json.dumps(layout)
-            new["hands/layout"].append(self._layouts.setdefault(text, len(self._layouts)))
+            touches, numbers = packed_hand(hand)
+            new["hands/touches"].append(touches)
             new["hands/numbers"].extend(numbers)
         if frame.commands:
             self._record_commands(frame.commands)
@@ -131,11 +80,11 @@ class Recording:
         return dataclasses.replace(frame, cameras=lambda: self._record_cameras(frame.cameras()))
 
     def _record_commands(self, commands: Sequence[Command]) -> None:
-        line = to_text(self.frames, commands)
+        line = commands_to_text(self.frames, commands)
         try:
-            from_text(line)
+            commands_from_text(line, f"{self.path}: not recorded")
         except BadInput as e:  # it would make the whole file invalid
-            print(f"{self.path}: not recorded: {e}", file=sys.stderr)
+            print(e, file=sys.stderr)
             return
         self._new["commands/text"].extend(f"{line}\n".encode())
 
@@ -163,45 +112,37 @@ class Recording:
         self._new["states/centroids"].extend(np.asarray(b.centroid, np.float64) for b in bodies)
 
     def _write(self) -> None:
-        """Pass new data to the writer thread: writing takes 10 ms, which would miss a frame."""
+        """Pass new rows to the writer thread, for which no frame waits."""
         self._written = 0.0
-        texts = {"about": json.dumps(self.about), "layouts": f"[{', '.join(self._layouts)}]"}
         new, self._new = self._new, {name: [] for name in DATASETS}
-        self._writer.submit(self._append, texts, new)
+        self._writer.submit(self._append, new)
 
-    def _append(self, texts: dict[str, str], new: dict[str, list]) -> None:
-        """Append rows; the file is valid before and after."""
-        if self._file is None:
+    def _append(self, new: dict[str, list]) -> None:
+        """Append a block to the journal; where it finds no space, end the recording."""
+        if self._journal is None:
             return
-        for key, text in texts.items():
-            self._file.attrs[key] = text
-        for name, rows in new.items():
-            if rows:
-                data = self._file[name]
-                data.resize(len(data) + len(rows), axis=0)
-                data[-len(rows) :] = np.array(rows, DATASETS[name][1])
+        columns = {name: np.array(rows, DATASETS[name][1]) for name, rows in new.items() if rows}
+        if self._blocks == 0 and columns:
+            columns["about"] = np.frombuffer(json.dumps(self.about).encode(), np.uint8)
         try:
-            self._commit()
-            self._kept = self.frames > 0
+            if columns:
+                self._journal.append(columns)
+                self._blocks += 1
         except OSError as e:
-            what = "the recording ends here" if self._kept else "nothing is recorded"
+            what = "the recording ends here" if self._blocks else "nothing is recorded"
             print(f"{self.path}: {what} ({reason_of(e)})", file=sys.stderr)
             self._end()
 
-    def _commit(self) -> None:
-        """Write all that was appended to the disk, or nothing. Raises OSError."""
-        self._file.flush()
-        self._growing.commit()
-
     def _end(self) -> None:
-        """Close the file, and give it its name, or remove it if it holds no frame."""
-        self._file.close()
-        self._growing.close()
-        self._file = None
-        if self._kept:
-            os.replace(self.part, self.path)
-        else:
+        """Make the recording of the journal, which stays where that cannot be written; without a frame remove it."""
+        self._journal.close()
+        self._journal = None
+        try:
+            if self._blocks:
+                write_recording(self.path, self.part)
             self.part.unlink()
+        except BadInput as e:
+            print(f"{e}; all that was recorded is in {self.part}, and --replay plays it", file=sys.stderr)
 
     def flush(self) -> None:
         """Wait until all data is written."""
@@ -215,7 +156,7 @@ class Recording:
         self._finish()
         self._write()
         self._writer.shutdown()  # waits
-        if self._file is not None:
+        if self._journal is not None:
             self._end()
 
     def _finish(self) -> None:
@@ -228,14 +169,20 @@ class Recording:
 
 
 def why_it_is_there(part: Path) -> str:
-    """The reason why there is a part already: the system locks a file that HDF5 writes."""
-    try:
-        h5py.File(part, "r", locking=True).close()
-    except BlockingIOError:
+    """The reason why there is a journal already."""
+    if is_locked(part):
         return "is being written by another session"
-    except OSError:
-        pass  # damaged: to be looked at by the user
     return "was left by an interrupted session: play it with --replay, or remove it"
+
+
+def packed_hand(hand: Hand | None) -> tuple[int, list[float]]:
+    """Number of finger capsules of a hand, and its numbers; -1 for one with non-finite numbers, as for none."""
+    if hand is None:
+        return -1, []
+    numbers = [*hand.position, *hand.rotation, hand.grip, hand.reach]
+    for touch in hand.touch:
+        numbers += [*touch.a, *touch.b, touch.radius]
+    return (len(hand.touch), numbers) if np.isfinite(numbers).all() else (-1, [])
 
 
 def about_play(args, world_options: dict) -> dict:

@@ -8,17 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.hdf5 import open_hdf5
 from assets.library import animated_height
 from core.camera import Camera, fitted
-from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL
+from core.typed import field_types
 from display.protocol import Frame
-from display.record.recording import FORMAT, OPTIONS, VERSION
-from display.record.recording_reader import checked_about, read_frames, read_states
+from display.record.recording_file import FORMAT, VERSION, open_recording
+from display.record.recording_reader import OPTIONS, WorldOptions, checked_about, read_frames, read_states
 from display.user_commands import Pause, last_of
-
-WORLD_OPTIONS = ("interaction", "embedding", "sort", "fingers")
 
 
 class Replay:
@@ -37,18 +34,15 @@ class Replay:
     def load(cls, path: str | Path) -> Replay:
         """Read and check a recording, also an incomplete one."""
         path = Path(path)
-        with open_hdf5(path) as file:
+        with open_recording(path) as file:
             if file.text("", "format") != FORMAT:
                 raise file.error("is not a recording of VR-GS")
             version = file.number("", "version")
             if version not in range(1, VERSION + 1):
                 raise file.error(f"is a recording of version {version:g}; this program knows 1 to {VERSION}")
-            try:
-                about = checked_about(file.text("", "about"))
-                frames = read_frames(file)
-                return cls(path, int(version), about, frames, read_states(file, len(frames)))
-            except BadInput as e:
-                raise e if str(e).startswith(str(path)) else file.error(str(e)) from e
+            about = checked_about(file.text("", "about"), str(path))
+            frames = read_frames(file)
+            return cls(path, int(version), about, frames, read_states(file, len(frames)))
 
     def set_options(self, args) -> None:
         """Set those options of the command that determine the world to the recorded ones."""
@@ -62,7 +56,7 @@ class Replay:
     def world_options(self, options: dict) -> dict:
         """Options of a World: the recorded ones, and `how` for the rest. Depth is for headsets."""
         recorded = self.about.get("world", {})
-        return options | {key: recorded[key] for key in WORLD_OPTIONS if key in recorded}
+        return options | {key: recorded[key] for key in field_types(WorldOptions) if key in recorded}
 
     def implied_material(self, scene: str, body: str | None) -> str | None:
         """The material of a body for which none was asked: before version 2 that was not the asset's own."""

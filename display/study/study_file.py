@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write, locked
-from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset
+from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
 from display.study.questionnaire import QUESTIONS, SCALE, Answers
 from display.study.trial import MIXED, SETTINGS, Trial
 
@@ -119,7 +119,8 @@ def write_study(path: str | Path, study: Study) -> None:
     scores = np.concatenate([np.zeros((0, 2)), *(t.scores for t in trials)])
     with atomic_write(path) as beside:
         with new_hdf5(beside) as file:
-            file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+            write_text(file, "format", FORMAT)
+            file.attrs["version"] = VERSION
             for name in FLOATS:
                 write_dataset(file, f"trials/{name}", [getattr(t, name) for t in trials], np.float64)
             for name in INTEGERS:

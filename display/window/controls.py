@@ -13,7 +13,7 @@ from core.vocabulary import BodyState, Hand
 from display import user_commands
 from display.edit.edit_steps import ROOM_STEP, rotation_step
 from display.protocol import WorldView
-from display.user_commands import SIZED, Command, SaveState
+from display.user_commands import Command, PictureCommand, SaveState
 from display.window.key_bindings import bound
 from display.window.mouse import MIN_DEPTH, MouseHand, OrbitCamera
 
@@ -181,10 +181,8 @@ class Controls:
     def completed(self, commands: Iterable[Command], size: tuple[int, int]) -> list[Command]:
         """The commands, with the size [px] of the whole picture and the view where they ask for these."""
         view = (tuple(self.orbit.eye.tolist()), tuple(self.orbit.target.tolist()))
-        return [
-            replace(c, size=size) if isinstance(c, SIZED) else replace(c, view=view) if isinstance(c, SaveState) else c
-            for c in commands
-        ]
+        sized = [replace(c, size=size) if isinstance(c, PictureCommand) else c for c in commands]
+        return [replace(c, view=view) if isinstance(c, SaveState) else c for c in sized]
 
     def follow(self, world: WorldView) -> None:
         """Go to the view of a state that was loaded."""

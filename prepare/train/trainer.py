@@ -11,7 +11,7 @@ import taichi as ti
 
 from assets.file_access import atomic_write
 from assets.gaussians import SH_COUNTS, Gaussians
-from assets.hdf5 import new_hdf5, open_hdf5
+from assets.hdf5 import new_hdf5, open_hdf5, write_text
 from core.camera import Camera
 from prepare.train.densification import FAR, AdaptiveDensity, MonteCarlo, free_radii, in_free_space, near_depth
 from prepare.train.gradient_step import GradientStep
@@ -281,8 +281,9 @@ class Trainer:
 def write_checkpoint(path: Path, state: dict[str, np.ndarray], options: dict) -> None:
     """Write the state of a trainer, atomically. Raises BadInput."""
     with atomic_write(path) as beside, new_hdf5(beside) as file:
-        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-        file.attrs["options"] = json.dumps(options, sort_keys=True)
+        write_text(file, "format", FORMAT)
+        write_text(file, "options", json.dumps(options, sort_keys=True))
+        file.attrs["version"] = VERSION
         for name, values in state.items():
             file.create_dataset(name, data=values)
 

@@ -90,8 +90,8 @@ def test_the_file_describes_itself(tmp_path):
     """The layout of DESIGN.md, seen with plain h5py."""
     some_asset().save(tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
-        assert (file.attrs["format"], file.attrs["version"]) == ("vrgs-asset", 1)
-        assert '"source"' in file.attrs["provenance"]
+        assert (file.attrs["format"], file.attrs["version"]) == (b"vrgs-asset", 1)
+        assert b'"source"' in file.attrs["provenance"]
         assert file["gaussians/sh"].shape == (20, 4, 3) and file["gaussians/object_id"].dtype == np.uint16
         assert file["sdf/values"].dtype == np.float16 and file["sdf/values"].attrs["spacing"] == 0.05
         assert file["cage/tets"].compression == "gzip" and file["cage/tets"].shuffle
@@ -155,8 +155,8 @@ DEFECTS = {
     "at least 2 nodes": put("sdf/values", np.zeros((3, 1, 5), np.float16)),
     "spacing is not positive": lambda f: f["sdf/values"].attrs.update(spacing=0.0),
     "'spacing' of sdf/values is not a number": lambda f: f["sdf/values"].attrs.update(spacing=[1.0, 1.0, 1.0]),
-    "neither a number nor a text": lambda f: f["sdf/values"].attrs.update(origin=np.zeros(2)),
-    "not three numbers": lambda f: f["sdf/values"].attrs.update(origin="here"),
+    "is not three numbers": lambda f: f["sdf/values"].attrs.update(origin=np.zeros(2)),
+    "'origin' of sdf/values is not three": lambda f: f["sdf/values"].attrs.update(origin="here"),
     "origin is not three finite": lambda f: f["sdf/values"].attrs.update(origin=np.full(3, np.inf)),
     "missing attribute 'origin'": lambda f: f["sdf/values"].attrs.pop("origin"),
     "missing attribute 'young'": lambda f: f["material"].attrs.pop("young"),

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from assets.file_access import UNPACK_BASE
-from assets.hdf5 import open_hdf5
+from assets.hdf5 import open_hdf5, write_text
+from core.errors import BadInput
 from tests.assets.test_asset import edited, put, refused, some_asset
 
 
@@ -74,26 +75,47 @@ def test_sizes_that_the_file_does_not_back_are_refused(tmp_path):
     assert "inflates to more" in refused(edited(tmp_path, bomb))
 
 
-def test_a_damaged_heap_of_texts_does_not_hang(tmp_path):
-    """HDF5 2.0 walks the heap that holds the attributes' texts for ever when an object's size is wrong."""
-    some_asset().save(tmp_path / "a.h5")
-    data = bytearray((tmp_path / "a.h5").read_bytes())
-    heap = data.index(b"GCOL")
-    data[heap + 16 + 16 + 16 + 8] = 0x60  # the size of the second object; behind it lie zeros
-    (tmp_path / "a.h5").write_bytes(data)
-    assert "heap" in refused(tmp_path / "a.h5")
-
-
-@pytest.mark.parametrize("libver", ["earliest", "latest"])
-def test_texts_of_attributes_are_read_wherever_hdf5_puts_them(tmp_path, libver):
-    """More than eight attributes of a group go to a heap in the latest version of the format."""
-    with h5py.File(tmp_path / "a.h5", "w", libver=libver) as file:
+def with_old_texts(path, libver="earliest"):
+    """A file with texts of variable length, as this program wrote them."""
+    with h5py.File(path, "w", libver=libver) as file:
         file.attrs["none"] = ""
         for k in range(12):
             file.create_group(f"group{k}").attrs["kind"] = "soft" * k
-        for k in range(12):
+        for k in range(7):
             file["group3"].attrs[f"key{k}"] = f"text {k}"
+
+
+def old_texts(path) -> list[str]:
+    with open_hdf5(path) as reader:
+        kinds = [reader.text(f"group{k}", "kind") for k in range(12)]
+        return [reader.text("", "none"), *kinds, *(reader.text("group3", f"key{k}") for k in range(7))]
+
+
+@pytest.mark.parametrize("libver", ["earliest", "v110", "latest"])
+def test_texts_of_variable_length_are_read(tmp_path, libver):
+    with_old_texts(tmp_path / "a.h5", libver)
+    assert old_texts(tmp_path / "a.h5") == ["", *("soft" * k for k in range(12)), *(f"text {k}" for k in range(7))]
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+def test_damaged_texts_of_variable_length_are_refused(tmp_path, libver):
+    """HDF5 2.0 loops for ever where the size of an object in their heap is wrong, and allocates any length claimed."""
+    with_old_texts(tmp_path / "a.h5", libver)
+    data = bytearray((tmp_path / "a.h5").read_bytes())
+    heap = data.index(b"GCOL")
+    data[heap + 16 + 8 : heap + 16 + 16] = (0x60).to_bytes(8, "little")
+    (tmp_path / "a.h5").write_bytes(data)
+    with pytest.raises(BadInput, match="is damaged"):
+        old_texts(tmp_path / "a.h5")
+    data = data.replace(heap.to_bytes(8, "little"), (heap + 8).to_bytes(8, "little"))
+    (tmp_path / "a.h5").write_bytes(data)
+    with pytest.raises(BadInput):
+        old_texts(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize("length", [0, 10, 70_000])
+def test_texts_of_any_length_come_back(tmp_path, length):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        write_text(file, "about", "ä" * length)
     with open_hdf5(tmp_path / "a.h5") as reader:
-        assert reader.text("", "none") == ""
-        assert [reader.text(f"group{k}", "kind") for k in range(12)] == ["soft" * k for k in range(12)]
-        assert [reader.text("group3", f"key{k}") for k in range(12)] == [f"text {k}" for k in range(12)]
+        assert reader.has_text("", "about") and reader.text("", "about") == "ä" * length

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from core.vocabulary import Hand, Light
 from display.edit.body_registry import FULL_NOTICE as FULL
-from display.record.codec import from_text, to_text
 from display.user_commands import (
     MIN_TIME_SCALE,
     Duplicate,
@@ -26,6 +25,8 @@ from display.user_commands import (
     SetMaterial,
     SetTimeScale,
     Undo,
+    commands_from_text,
+    commands_to_text,
 )
 from scenes.dining_table import RING_MATERIAL as RUBBER
 from tests.support.edited_play import BLUE, DT, RED, Play, equal
@@ -295,7 +296,7 @@ def test_live_changes_are_replayed_bit_for_bit_from_their_recording(play):
         8: [Undo()],
     }
     ends = []
-    for read in (lambda k, given: given, lambda k, given: from_text(to_text(k, given))[1]):
+    for read in (lambda k, given: given, lambda k, given: commands_from_text(commands_to_text(k, given), "x")[1]):
         play.do(Reset(), SetGravity(play.world.scene.gravity), SetTimeScale(1.0))
         for k in range(10):
             play.step(1, *read(k, commands.get(k, [])))

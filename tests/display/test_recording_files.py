@@ -13,6 +13,7 @@ import pytest
 
 from core.errors import BadInput
 from display.record.recording import Recording
+from display.record.recording_file import JOURNAL
 from display.record.replay import Replay
 from tests.display.test_recording import Ball, record, same, some_frames
 
@@ -86,9 +87,9 @@ def play_until_full(path: Path, limit: int) -> subprocess.CompletedProcess:
 
 
 def test_a_disk_that_fills_up_ends_the_recording_and_not_the_play(tmp_path):
-    """The frames until then are a complete recording. HDF5 alone ends the program with a segmentation fault."""
+    """The frames until then are a complete recording."""
     path = tmp_path / "play.h5"
-    done = play_until_full(path, 1_000_000)
+    done = play_until_full(path, 400_000)
     assert done.returncode == 0 and done.stdout.endswith("3000 frames played\n"), done.stderr
     assert done.stderr == f"{path}: the recording ends here (File too large)\n"
     replay = Replay.load(path)
@@ -97,14 +98,53 @@ def test_a_disk_that_fills_up_ends_the_recording_and_not_the_play(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["play.h5"]
 
 
-def test_a_disk_that_is_full_at_once_leaves_nothing(tmp_path):
-    """It is refused before the play where not even an empty recording has space, else a line tells of it."""
+def test_a_journal_of_which_no_recording_can_be_written_stays(tmp_path, capsys, monkeypatch):
+    def full(path, journal):
+        raise BadInput(f"{path}: cannot be written (No space left on device)")
+
+    monkeypatch.setattr("display.record.recording.write_recording", full)
     path = tmp_path / "play.h5"
-    done = play_until_full(path, 1000)
+    record(path, some_frames(100))
+    assert capsys.readouterr().err == (
+        f"{path}: cannot be written (No space left on device);"
+        f" all that was recorded is in {path}.part, and --replay plays it\n"
+    )
+    assert len(Replay.load(tmp_path / "play.h5.part")) == 100 and not path.exists()
+
+
+def test_a_disk_that_is_full_at_once_leaves_nothing(tmp_path):
+    """It is refused before the play where not even an empty journal has space, else a line tells of it."""
+    path = tmp_path / "play.h5"
+    done = play_until_full(path, 10)
     assert (done.returncode, done.stderr) == (1, f"{path}: cannot be written (File too large)\n")
-    done = play_until_full(path, 100_000)
+    done = play_until_full(path, 100)
     assert (done.returncode, done.stderr) == (0, f"{path}: nothing is recorded (File too large)\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_journal_is_read_up_to_its_last_whole_block(tmp_path):
+    """Whole, cut off anywhere, or damaged: what was recorded until then, or one line."""
+    recording = record(tmp_path / "play.h5", some_frames(300), close=False)
+    recording.flush()
+    whole = recording.part.read_bytes()
+    recording.close()
+    path, counts, rng = tmp_path / "cut.part", [], np.random.default_rng(0)
+    for size in np.linspace(len(JOURNAL), len(whole), 40).astype(int):
+        path.write_bytes(whole[:size])
+        try:
+            counts.append(len(Replay.load(path)))
+        except BadInput as e:
+            assert str(e).startswith(f"{path}: ")
+            counts.append(0)
+    assert counts == sorted(counts) and counts[-1] == 271 and set(counts) == {0, 1, 91, 181, 271}
+    for _ in range(100):
+        data = bytearray(whole)
+        data[rng.integers(len(JOURNAL), len(JOURNAL) + 400)] = rng.integers(256)
+        path.write_bytes(data)
+        try:
+            Replay.load(path)
+        except BadInput as e:
+            assert str(e).startswith(f"{path}: ") and "\n" not in str(e)
 
 
 def spoil(path, change):
@@ -128,7 +168,12 @@ def about(**changes):
 
 
 def longer(name, rows=5):
-    return lambda file: file[name].resize(len(file[name]) + rows, axis=0)
+    def change(file):
+        values = file[name][()]
+        del file[name]
+        file[name] = np.concatenate([values, values[:rows]])
+
+    return change
 
 
 def huge(file):
@@ -144,18 +189,15 @@ def linked(file):
 SPOILED = {
     "is not a recording": attribute("format", "vrgs-asset"),
     "of version 9": attribute("version", 9),
-    "no JSON": attribute("about", "{"),
-    "which scene": attribute("about", "[]"),
-    "its seed cannot": about(seed="x"),
-    "its body cannot": about(body=["a", 2]),
-    "its arch is none": about(arch="tpu"),
-    "its sort is none": about(world={"sort": "quick"}),
-    "options of its world": about(world={"sort": [1]}),
-    "its vertices or": about(vertices=-3),
-    "its layouts are no JSON": attribute("layouts", "?"),
-    "its layouts are no list": attribute("layouts", "{}"),
-    "not that of a hand": attribute("layouts", '[["t", 9, "f"]]'),
-    "not as long as": attribute("layouts", '["n"]'),
+    "not JSON": attribute("about", "{"),
+    "it is \\[\\], not an object": attribute("about", "[]"),
+    "scene is missing": attribute("about", "{}"),
+    "seed is 'x'": about(seed="x"),
+    "body is": about(body=["a", 2]),
+    "arch is 'tpu', not one of cpu, cuda": about(arch="tpu"),
+    "world.sort is 'quick'": about(world={"sort": "quick"}),
+    "world.sort is \\[1\\]": about(world={"sort": [1]}),
+    "vertices is -3": about(vertices=-3),
     "frames/dt holds": put("frames/dt", np.nan, 3),
     "frames/dt holds values": put("frames/dt", -1.0),
     "frames/time holds": put("frames/time", np.inf),
@@ -163,14 +205,15 @@ SPOILED = {
     "frames/hands holds": put("frames/hands", 1000),
     "frames/cameras holds": put("frames/cameras", -1),
     "hands/numbers holds": put("hands/numbers", np.nan),
-    "hands/layout holds": put("hands/layout", 7),
-    "hands/layout has shape": longer("hands/layout"),
+    "hands/touches holds": put("hands/touches", 1001),
+    "hands/numbers has shape": put("hands/touches", 7),
+    "hands/touches has shape": longer("hands/touches"),
     "cameras/values holds a camera": put("cameras/values", np.zeros(22)),
     "cameras/values holds": put("cameras/values", np.full(22, np.nan)),
     "cameras/values has shape": longer("cameras/values"),
     "frames/time has shape": longer("frames/dt"),
     "commands/text is no text": put("commands/text", 255),
-    "not valid JSON": put("commands/text", ord("x")),
+    "a line of commands is not JSON": put("commands/text", ord("x")),
     "states/count holds": put("states/count", 10**7),
     "states/centroids has shape": longer("states/centroids"),
     "states/frame holds": put("states/frame", 10**9),
@@ -183,9 +226,6 @@ SPOILED = {
 def test_a_bad_file_is_refused_in_one_line(tmp_path, says):
     path = tmp_path / "play.h5"
     record(path, some_frames(12))
-    with h5py.File(path, "r+") as file:  # readable all the same
-        layout = json.loads(file.attrs["layouts"])
-    assert len(layout) == 1
     spoil(path, SPOILED[says])
     with pytest.raises(BadInput, match=says) as raised:
         Replay.load(path)

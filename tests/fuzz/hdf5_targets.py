@@ -45,7 +45,7 @@ def recording_samples(folder: Path) -> list[Files]:
 
 def read_recording(path: Path) -> None:
     """Load a recording, and take over its options."""
-    from display.record.recording import OPTIONS
+    from display.record.recording_reader import OPTIONS
     from display.record.replay import Replay
 
     replay = Replay.load(path)

@@ -21,7 +21,6 @@ from core.runtime import COMPILER_OPTIONS
 from core.vocabulary import BodyState, Light
 from display.keep.keeper import Keeper
 from display.protocol import WorldView
-from display.record.codec import NAMES
 from display.timing import Timings
 from display.user_commands import (
     Pause,
@@ -249,7 +248,7 @@ def open_display(scene: Scene, args):
 
 
 def name_of(command) -> str:
-    return NAMES.get(type(command), type(command).__name__)
+    return command.key or type(command).__name__
 
 
 def record(frame, world) -> dict:

@@ -15,7 +15,6 @@ PERIOD = 1 / 25  # [s] a frame at least: what is drawn faster only costs
 
 def watch(log) -> None:
     """Let every step of a world leave a line."""
-    from display.record.codec import NAMES
     from display.world import World
 
     step = World.step
@@ -28,7 +27,7 @@ def watch(log) -> None:
             for b in self.bodies()
         ]
         hands = [{"position": h.position, "grip": h.grip, "touches": len(h.touch)} for h in frame.hands]
-        commands = sorted(NAMES.get(type(c), type(c).__name__) for c in frame.commands)
+        commands = sorted(c.key or type(c).__name__ for c in frame.commands)
         state = {"time": self.time, "paused": self.paused, "bodies": bodies, "hands": hands, "commands": commands}
         state |= {"interaction": self.interaction, "light": self.light.position}
         log.write(json.dumps(state) + "\n")

@@ -110,7 +110,7 @@ def check(args: argparse.Namespace) -> None:
         if not path.exists():
             raise BadInput(f"{path}: no such file or folder")
     if args.lama:
-        from prepare.inpaint.lama_network import LamaNetwork
+        from prepare.onnx_network import LamaNetwork
 
         LamaNetwork(args.lama)  # needed in an hour, perhaps
     if args.scale_points:
@@ -317,7 +317,7 @@ class RoomMaking:
         def make(folder: Path) -> None:
             painter = None
             if a.lama:
-                from prepare.inpaint.lama_network import LamaNetwork
+                from prepare.onnx_network import LamaNetwork
 
                 painter = LamaNetwork(a.lama)
             write_gaussians(folder / "background.ply", inpainted(room, self.stages.part, self.say, painter))

@@ -78,8 +78,8 @@ def run(args: argparse.Namespace) -> None:
         take_shadow,
         without_support,
     )
-    from prepare.inpaint.lama_network import LamaNetwork
     from prepare.inpaint.picture_inpainting import paint_from_patches
+    from prepare.onnx_network import LamaNetwork
     from prepare.progress import progress_on
 
     kind_to_write(args.out)

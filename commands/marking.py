@@ -16,9 +16,8 @@ from display.mark.mark_edit import Mark, MarkEdit, MarkState
 from display.mark.mark_window import FreeView
 from display.window.mouse import OrbitCamera
 from prepare.segment.marks import Marks, ViewMarks, drawn_boxes, drawn_strokes
-from prepare.segment.mask_files import check_name, object_colors
-from prepare.segment.mask_overlay import overlay
-from prepare.segment.picture_cut import grab_cut
+from prepare.segment.mask_files import check_name, object_colors, overlay
+from prepare.segment.mask_propagation import grab_cut
 from prepare.segment.splat_marks import SplatMarks
 from prepare.train.photographs import read_image
 
@@ -65,7 +64,7 @@ class SplatSubject:
 
     def __init__(self, gaussians: Gaussians, marks: SplatMarks, up: str | None):
         from display.viewed_file import FOV_Y, eye_around, middle_and_radius
-        from prepare.segment.live_selection import LiveSelection
+        from prepare.segment.splat_segmentation import LiveSelection
 
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))
         upright = np.eye(4)

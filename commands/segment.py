@@ -93,8 +93,7 @@ def segment_capture(args: argparse.Namespace) -> None:
         read_masks,
         write_masks,
     )
-    from prepare.segment.mask_propagation import propagate_marks
-    from prepare.segment.picture_cut import grab_cut
+    from prepare.segment.mask_propagation import grab_cut, propagate_marks
     from prepare.train.capture_files import read_capture
     from prepare.train.photographs import load_photograph
 
@@ -108,7 +107,7 @@ def segment_capture(args: argparse.Namespace) -> None:
     truth = None if args.compare is None else read_masks(args.compare, capture.views)
     cut = grab_cut
     if args.model is not None:
-        from prepare.segment.mask_network import MaskNetwork
+        from prepare.onnx_network import MaskNetwork
 
         cut = MaskNetwork(args.model)
     splats = None
@@ -171,7 +170,7 @@ def write_sheet(path: Path, views: list, masks) -> None:
     import cv2
 
     from core.report import Section, html_page
-    from prepare.segment.mask_overlay import contact_sheet, overlays
+    from prepare.segment.mask_files import contact_sheet, overlays
 
     tiles = overlays(views, masks)
     if path.suffix.lower() == ".html":

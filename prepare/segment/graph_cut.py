@@ -1,30 +1,49 @@
-"""Borders in a graph of Gaussians: random walks from seeds, the clearest border among what they reach, and forests."""
+"""Graphs of neighbours, and borders in them: random walks from seeds, the clearest border, forests; thinned splats."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.spatial import cKDTree
+
+from assets.gaussians import Gaussians
+from core.spherical_harmonics import C0
 
 WALK_TOLERANCE = 1e-4  # relative residual
 WALK_STEPS = 5000
 ISOLATED = 1e-9  # conductance of every node to the outside, which makes the system regular
+NEIGHBOURS = 12  # per Gaussian: about two rings on a surface
+CHUNK = 1 << 19  # edges processed at a time, to bound memory
+GAP_STRENGTH = 0.25  # half of 0.5: distances use the sum of two covariances, and ignore tails
+WIDTH_STRENGTH = 2.0  # power of the ratio of two widths: ground under a foot is of wider Gaussians
 
 
-def random_walk(graph: csr_matrix, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """Probability (N,) that a random walker along the edges reaches an inside seed before an outside one.
+def random_walk(
+    graph: csr_matrix, seeds: np.ndarray, labels: int, *, evidence: np.ndarray | None = None, leak: float = 0.0
+) -> np.ndarray:
+    """Probability (N, labels) that a random walker along the edges meets a seed of each label first.   Grady 2006
 
-    inside, outside   seeds (N,) bool                                                             Grady 2006
+    seeds     labels (N,) of the seeds, -1: none
+    evidence  (N, labels) weights of edges from each node to a seed of each label
+    leak      of a node's weights, to label 0: decides where no seed is connected
     """
-    p = inside.astype(np.float64)
-    free = np.flatnonzero(~(inside | outside))
+    result = np.zeros((len(seeds), labels))
+    fixed = seeds >= 0
+    result[fixed, seeds[fixed]] = 1.0
+    free = np.flatnonzero(~fixed)
     if not len(free):
-        return p
-    degree = np.asarray(graph.sum(1)).ravel() + ISOLATED
-    laplacian = (diags(degree) - graph).tocsr()[free]
-    within = laplacian[:, free].tocsr()
-    p[free] = solved(within, -(laplacian @ p))
-    return p.clip(0.0, 1.0)
+        return result
+    edges = graph[free]
+    extra = np.zeros((len(free), labels)) if evidence is None else evidence[free]
+    degree = np.asarray(edges.sum(axis=1)).ravel() * (1.0 + leak) + extra.sum(axis=1) + ISOLATED
+    within, outwards = (diags(degree) - edges[:, free]).tocsr(), edges[:, np.flatnonzero(fixed)]
+    for k in range(1, labels):
+        result[free, k] = solved(within, outwards @ result[fixed, k] + extra[:, k]).clip(0.0, 1.0)
+    result[free, 0] = (1.0 - result[free, 1:].sum(axis=1)).clip(0.0, 1.0)
+    return result / result.sum(axis=1, keepdims=True)
 
 
 def solved(matrix: csr_matrix, right: np.ndarray) -> np.ndarray:
@@ -95,3 +114,125 @@ def most_alike(low: np.ndarray, high: np.ndarray, likeness: np.ndarray, cut: np.
     reached = np.zeros(n + 2, bool)
     reached[breadth_first_order(tree, n, directed=False, return_predecessors=False)] = True
     return np.where(fixed, cut, reached[:n])
+
+
+def rgb_of(gaussians: Gaussians) -> np.ndarray:
+    """View-independent colour of each Gaussian, 0..1, (N, 3)."""
+    return (0.5 + C0 * gaussians.sh[:, 0]).clip(0.0, 1.0)
+
+
+def neighbour_edges(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs (E,), (E,) of indices, each once, of neighbouring Gaussians, and their likeness (E,), 0..1."""
+    points = gaussians.means.astype(np.float64)
+    width = log_widths(gaussians)
+    low, high, spacing = neighbours_of(points, width)
+    colour, covariances = rgb_of(gaussians), gaussians.covariances
+    gap, contrast = np.empty(len(low), np.float32), np.empty(len(low), np.float32)
+    for begin in range(0, len(low), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        a, b = low[part], high[part]
+        rounding = (0.5 * np.minimum(spacing[a], spacing[b])) ** 2  # a surface is no thinner than it is sampled
+        gap[part] = mahalanobis(points[b] - points[a], covariances[a] + covariances[b], rounding)
+        contrast[part] = ((colour[a] - colour[b]) ** 2).sum(1)
+    usual = max(float(contrast.mean()), 1e-4) if len(low) else 1.0
+    unlike = np.abs(width[low] - width[high])
+    return low, high, np.exp(-GAP_STRENGTH * gap - contrast / usual - WIDTH_STRENGTH * unlike)
+
+
+def graph_of(low: np.ndarray, high: np.ndarray, weight: np.ndarray, count: int) -> csr_matrix:
+    """Symmetric matrix (count, count) of the weights (E,) of edges, each given once."""
+    half = csr_matrix((weight.astype(np.float64), (low, high)), (count, count))  # float32 stalls a solver
+    return (half + half.T).tocsr()
+
+
+def log_widths(gaussians: Gaussians) -> np.ndarray:
+    """Logarithm (N,) of the width of each Gaussian in its surface: of the mean of its two larger scales."""
+    return np.sort(gaussians.log_scales, axis=1)[:, 1:].mean(1)
+
+
+def neighbours_of(points: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs (E,), (E,) of indices, each once, of neighbours, and the spacing (N,) of the points (N, 3) around each.
+
+    width (N,)  logarithms. The neighbours of a Gaussian are the nearest of those that are about as wide or wider: those
+    nearest to a wide one of the floor under a thing are all of the thing, and it would be cut off from the floor.
+    """
+    n = len(points)
+    k = min(NEIGHBOURS, n - 1)
+    if k < 1:
+        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.ones(n)
+    near, distance = nearest_as_wide(points, width, np.arange(n, dtype=np.int32), k + 1)
+    rows = np.arange(n, dtype=np.int32)[:, None]
+    itself = near == rows
+    itself[~itself.any(1), -1] = True  # of more points at one place than are found, one is left out
+    index = near[~itself].reshape(n, k)
+    spacing = np.maximum(distance[:, -1], 1e-9) / np.sqrt(k / np.pi)  # of a surface: k in a disc so large
+    once = (rows < index) | ~np.stack([(index[index[:, j]] == rows).any(1) for j in range(k)], axis=1)
+    return np.nonzero(once)[0].astype(np.int32), index[once], spacing
+
+
+def nearest_as_wide(points: np.ndarray, width: np.ndarray, some: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """The k nearest of `some` (M,) of the points that are about as wide as a point or wider, for each point.
+
+    points (N, 3); width (N,), as a logarithm. Returns their indices among all, int32, and distances, (N, k) each. For
+    the widest points narrower ones count, so that they have k, too.
+    """
+    octave = np.floor(width / np.log(2.0))
+    octave = np.minimum(octave, np.partition(octave[some], len(some) - k)[len(some) - k])
+    index, distance = np.empty((len(points), k), np.int32), np.empty((len(points), k))
+    for least in np.unique(octave):
+        there, own = some[octave[some] >= least], np.flatnonzero(octave == least)
+        distance[own], near = cKDTree(points[there]).query(points[own], np.arange(1, k + 1), workers=-1)
+        index[own] = there[near]
+    return index, distance
+
+
+def mahalanobis(d: np.ndarray, sigma: np.ndarray, added: np.ndarray) -> np.ndarray:
+    """d^T (Sigma + added I)^-1 d for vectors (E, 3) and symmetric matrices (xx, xy, xz, yy, yz, zz), (E, 6)."""
+    sigma = sigma + added[:, None] * np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
+    inverse = adjugate(sigma)
+    return quadratic_form(inverse, d) / np.maximum((sigma[:, :3] * inverse[:, :3]).sum(1), 1e-30)
+
+
+def adjugate(sigma: np.ndarray) -> np.ndarray:
+    """Inverses times determinants of symmetric matrices (E, 6), in the same form."""
+    xx, xy, xz, yy, yz, zz = sigma.T
+    first = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    return np.stack([*first, xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy], axis=1)
+
+
+def quadratic_form(sigma: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """d^T Sigma d (E,) for symmetric matrices (E, 6) and vectors (E, 3), or one (3,)."""
+    x, y, z = np.moveaxis(d, -1, 0)
+    xx, xy, xz, yy, yz, zz = sigma.T
+    return xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z)
+
+
+@dataclass(frozen=True)
+class Thinned:
+    """`some` (M,) of N Gaussians, these as `gaussians`, and the one that stands for each: `cell` (N,), in 0..M-1."""
+
+    some: np.ndarray
+    gaussians: Gaussians
+    cell: np.ndarray
+
+
+def thinned(gaussians: Gaussians, most: int) -> Thinned:
+    """At most so many of the Gaussians, evenly spread; the given ones lie in Morton order.
+
+    For each of these stands the nearest of those that is about as wide or wider.
+    """
+    step = -(-len(gaussians) // most)
+    points = gaussians.means.astype(np.float64)
+    some = np.arange(step // 2, len(points), step, dtype=np.int32)
+    width = log_widths(gaussians)
+    place = np.empty(len(points), np.int32)
+    place[some] = np.arange(len(some))
+    cell = place[nearest_as_wide(points, width, some, 1)[0][:, 0]]
+    return Thinned(some, widened(gaussians.select(some), step), cell)
+
+
+def widened(gaussians: Gaussians, factor: float) -> Gaussians:
+    """The Gaussians with so many times their area: their two larger scales grow, and the surface gets no thicker."""
+    scales = gaussians.log_scales.copy()
+    scales += np.float32(0.5 * np.log(factor)) * (scales > scales.min(axis=1, keepdims=True))
+    return replace(gaussians, log_scales=scales)

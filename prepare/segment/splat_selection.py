@@ -1,5 +1,6 @@
-"""Selection of an object's Gaussians in a splat, from seeds inside and outside of it.
+"""Selection of an object's Gaussians in a splat, from marks on its pictures.
 
+The marks give seeds: Gaussians that are certainly inside or outside of the object.
 A random walk on the graph of neighbours says how easily each Gaussian is reached from the seeds. Of the sets of those
 that are reached more easily than others, the object is the one that is joined to the rest by the clearest border: by
 the least weight of edges for its size. Borders that no view shows cost next to nothing, so that an object that lies on
@@ -10,16 +11,39 @@ In a large splat this is done twice: with some of the Gaussians, and with all of
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from assets.gaussians import Gaussians
+from core.camera import Camera, look_at, perspective
 from core.morton import morton_order
-from prepare.segment.gaussian_graph import graph_of, log_widths, neighbour_edges, neighbours_of
-from prepare.segment.graph_cut import clearest_level, most_alike, random_walk
-from prepare.segment.thinning import thinned
-from prepare.segment.views_around import ViewsAround
+from prepare.blending_weights import BlendingWeights
+from prepare.segment.graph_cut import (
+    adjugate,
+    clearest_level,
+    graph_of,
+    log_widths,
+    most_alike,
+    neighbour_edges,
+    neighbours_of,
+    quadratic_form,
+    random_walk,
+    thinned,
+)
+from prepare.segment.marks import ViewMarks, drawn_boxes, drawn_strokes
+from render.projection import DILATION
 
+VIEWS = 24  # 40 degrees apart
+PICTURE = 200  # [px] across that ball
+ROOM = 1 << 18  # least number of Gaussians for which there is room: another needs other kernels
+DISTANCE = 4.0  # radii of a ball that holds the Gaussians: so far away that parallel rays describe the views
+STROKE_WIDTH = 0.008  # fraction of a picture's height: a thin felt pen
+SEED_SHARE = 0.8  # fraction of a stroke's weight that its seeds carry; the rest shines through or spills in
+BOX_MIDDLE = 1 / 3  # fraction of a box's sides: this middle part is taken for the object if there is no stroke
+CLEARLY = 2.0  # a Gaussian under strokes of both sides is a seed of one if its weight there is this many times larger
 NEARBY = 2.5  # radii of the strokes around the inner ones within which an object may lie
 NEARBY_ALONE = 5.0  # the same if there is no stroke outside, which says how far the object reaches
 RIM = 1.2  # of these radii: Gaussians between there and here lie outside
@@ -29,6 +53,133 @@ UNSEEN = 1e-3  # factor for an edge that no view shows
 MORTON_BITS = 21  # of a coordinate: few Gaussians far away leave the others in few cells of 10 bits
 NODES = 1 << 15  # of a graph, which takes a second: of more, some stand for the others until the border is found
 WEAKEST = 1e-3  # least likeness along a border: none is free
+
+
+class ViewsAround:
+    """Views of Gaussians from all sides, drawn again and again: to start takes seconds. Taichi must be running.
+
+    A Gaussian that no view shows, inside a thing or between it and what it stands on, looks like anything: training
+    leaves its colour to chance, and it is no evidence of where one thing ends and another begins.
+    """
+
+    def __init__(self):
+        self._room, self._weights = 0, None
+
+    def shares(self, gaussians: Gaussians) -> np.ndarray:
+        """Share (VIEWS, N) float32, 0..1, of each Gaussian that each view shows: the rest is hidden by others."""
+        n = len(gaussians)
+        self._load(gaussians)
+        middle = 0.5 * (gaussians.means.min(axis=0) + gaussians.means.max(axis=0)).astype(np.float64)
+        radius = np.linalg.norm(gaussians.means - middle, axis=1).max()
+        k = np.arange(VIEWS) + 0.5
+        height, turn = 1.0 - 2.0 * k / VIEWS, np.pi * (1 + 5**0.5) * k
+        level = np.sqrt(1.0 - height**2)
+        ways = np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
+        everywhere = [np.ones((PICTURE, PICTURE), np.float32)]
+        sigma, means = gaussians.covariances, gaussians.means.astype(np.float64)
+        shares = np.empty((VIEWS, n), np.float32)
+        for view, way in enumerate(ways):
+            eye = middle + DISTANCE * radius * way
+            camera = perspective(PICTURE, PICTURE, 2.0 * np.arcsin(1.0 / DISTANCE), look_at(eye, middle))
+            seen = self._weights.sums(camera, everywhere)[:n, 0]
+            shares[view] = seen / free_weights(means, sigma, gaussians.opacities, camera, way)
+        return shares.clip(0.0, 1.0, out=shares)
+
+    def _load(self, gaussians: Gaussians) -> None:
+        """Draw these Gaussians."""
+        plain = gaussians.with_sh_degree(0)
+        if len(plain) <= self._room:
+            self._weights.replace(plain)
+        else:
+            self.destroy()
+            self._room = max(ROOM, 1 << (len(plain) - 1).bit_length())
+            self._weights = BlendingWeights(plain, capacity=self._room)
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        if self._weights is not None:
+            self._weights.destroy()
+        self._room, self._weights = 0, None
+
+
+def free_weights(means: np.ndarray, sigma: np.ndarray, opacities: np.ndarray, camera: Camera, way: np.ndarray):
+    """Weights (N,) [px] in the picture of a far camera with nothing in front of the Gaussians; it looks along -way.
+
+    means (N, 3), sigma (N, 6) covariances, opacities (N,)
+    The projection along a unit vector d has det Sigma_2D = d^T adj(Sigma) d and tr Sigma_2D = tr Sigma - d^T Sigma d;
+    a splat weighs 2 pi opacity sqrt(det(s^2 Sigma_2D + dilation I)), s = f / z.
+    """
+    scale2 = (camera.fx / ((camera.position - means) @ way).clip(1e-9, None)) ** 2
+    flat = quadratic_form(adjugate(sigma), way).clip(0.0, None)
+    trace = sigma[:, [0, 3, 5]].sum(1) - quadratic_form(sigma, way)
+    det = scale2**2 * flat + DILATION * scale2 * trace + DILATION**2
+    return 2.0 * np.pi * opacities * np.sqrt(det)
+
+
+@dataclass(frozen=True)
+class ViewSeeds:
+    """Seeds by the marks of one view: indices of those inside and outside, and what no box holds, (N,) bool."""
+
+    inside: np.ndarray
+    outside: np.ndarray
+    barred: np.ndarray | None
+
+
+class Seeds:
+    """Seeds (N,) bool of an object: `inside`, `outside`, and `barred`, which no box around it holds."""
+
+    def __init__(self, count: int, views: Iterable[ViewSeeds]):
+        self.inside, self.outside, self.barred = (np.zeros(count, bool) for _ in range(3))
+        for view in views:
+            self.inside[view.inside] = self.outside[view.outside] = True
+            if view.barred is not None:
+                self.barred |= view.barred
+        self.inside &= ~self.outside
+
+
+def seeds_of(gaussians: Gaussians, weights, cameras: Mapping[str, Camera], marks: Mapping[str, ViewMarks]) -> Seeds:
+    """Seeds of an object by its marks in all views; `weights` are BlendingWeights of the Gaussians."""
+    return Seeds(len(gaussians), [view_seeds(gaussians, weights, cameras[name], mark) for name, mark in marks.items()])
+
+
+def view_seeds(gaussians: Gaussians, weights, camera: Camera, marks: ViewMarks) -> ViewSeeds:
+    """Seeds of an object by its marks in a view."""
+    under = stroke_weights(weights, camera, marks)
+    inside, outside = (strongest(w) for w in under)
+    return ViewSeeds(
+        inside[under[0][inside] > CLEARLY * under[1][inside]],
+        outside[under[1][outside] > CLEARLY * under[0][outside]],
+        ~in_boxes(gaussians, camera, marks.boxes) if marks.boxes else None,
+    )
+
+
+def stroke_weights(weights, camera: Camera, marks: ViewMarks) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (N,) [px] of each Gaussian under what is inside and outside; a box without strokes counts as one."""
+    shape = (camera.height, camera.width)
+    width = max(3, round(STROKE_WIDTH * camera.height))
+    inside, outside = (drawn_strokes(strokes, shape, width) for strokes in (marks.inside, marks.outside))
+    if marks.boxes and not marks.inside:
+        middles = [np.tile(0.5 * (b[:2] + b[2:]), 2) for b in marks.boxes]
+        half = [0.5 * BOX_MIDDLE * (b[2:] - b[:2]) for b in marks.boxes]
+        inside |= drawn_boxes([m + np.concatenate([-h, h]) for m, h in zip(middles, half, strict=True)], shape)
+    return tuple(weights.sums(camera, [inside, outside]).T)
+
+
+def strongest(weights: np.ndarray) -> np.ndarray:
+    """Indices of the Gaussians of the largest weights (N,) that make up SEED_SHARE of their sum."""
+    some = np.flatnonzero(weights)
+    order = some[np.argsort(-weights[some])]
+    total = np.cumsum(weights[order], dtype=np.float64)
+    return order[: int(np.searchsorted(total, SEED_SHARE * total[-1])) + 1] if len(order) else order
+
+
+def in_boxes(gaussians: Gaussians, camera: Camera, boxes: list[np.ndarray]) -> np.ndarray:
+    """Gaussians (N,) bool whose centre projects into a box of the picture."""
+    p = gaussians.means.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    z = np.maximum(p[:, 2], 1e-9)
+    x, y = camera.fx * p[:, 0] / z + camera.cx, camera.fy * p[:, 1] / z + camera.cy
+    within = [(x >= b[0]) & (x <= b[2]) & (y >= b[1]) & (y <= b[3]) for b in boxes]
+    return np.any(within, axis=0) & (p[:, 2] > 0)
 
 
 class SplatSelection:
@@ -106,7 +257,8 @@ class SplatSelection:
         if shares is None:
             shares = self._views.shares(near) / SEEN
         graph = graph_of(low, high, border_costs(low, high, likeness, shares), len(near))
-        cut = clearest_level(graph, random_walk(graph, own, others), own, others)
+        inside = random_walk(graph, np.where(own, 1, np.where(others, 0, -1)), 2)[:, 1]
+        cut = clearest_level(graph, inside, own, others)
         return most_alike(low, high, likeness, cut, own | others | (shares.max(0) > 1.0)), low, high, shares
 
     def grown(self, cut: np.ndarray, rings: int) -> np.ndarray:

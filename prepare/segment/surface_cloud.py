@@ -12,12 +12,18 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
+from assets.gaussians import Gaussians
 from core.camera import Camera
-from prepare.segment.view_depths import points_at
+from prepare.progress import Progress, no_progress
+from prepare.segment.graph_cut import random_walk
 
+ALPHA_MIN = 0.6  # a pixel of lower opacity has no depth
+HIDDEN_RATIO = 0.9  # a point is hidden by one beside it in the picture that is nearer than this fraction of its depth
+CELL = 1.6  # spacings of the points in the picture within which one can hide another
+GAP = 8.0  # spacings of the points beyond which a pixel has no depth
+POINTS_MIN = 12  # visible in a picture; with fewer it has no depth
 POINTS = 60_000  # in the cloud, about
 SAMPLES_MAX = 1_500_000  # pixels of all views from which it is made
 JUMP = 1.06  # ratio of neighbouring depths at a silhouette, where a rendered depth lies between both sides
@@ -32,9 +38,69 @@ COLOR_SURE = 0.85  # probability from which a colour is evidence: wood on wood i
 OTHER_SURE = 0.1  # points with a lower probability of the object are examples of its surroundings
 NEARBY = 0.6  # object sizes around an object in which colours are compared
 LEAK = 1e-6  # of a point's weights, to the background: decides where no seed is connected
-SOLVE_TOLERANCE = 1e-3
 PLANE_TRIES, PLANE_SHARE, PLANES_MAX = 300, 0.06, 4
 PLANE_STEPS = 1.0  # spacings of the cloud: a nearer point lies on the plane
+
+
+def depths_of_splats(gaussians: Gaussians, cameras: list[Camera], report: Progress = no_progress) -> list[np.ndarray]:
+    """Depths along the axis (H, W) float32 of each view, 0 where there is nothing. Taichi must be running."""
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    splats, renderers, depths = Splats(gaussians), {}, []
+    for k, camera in enumerate(cameras):
+        size = (camera.width, camera.height)
+        if size not in renderers:
+            renderers[size] = Renderer(splats, *size, outputs="float")
+        renderer = renderers[size]
+        renderer.render([camera])
+        alpha, depth = renderer.alpha.to_numpy()[0], renderer.depth.to_numpy()[0]
+        depths.append(np.where(alpha >= ALPHA_MIN, depth, 0.0).astype(np.float32))
+        report("depths", (k + 1) / len(cameras))
+    for renderer in renderers.values():
+        renderer.destroy()
+    splats.destroy()
+    return depths
+
+
+def depths_of_points(points: np.ndarray, cameras: list[Camera], report: Progress = no_progress) -> list[np.ndarray]:
+    """As `depths_of_splats`, of points (P, 3) alone: that of the nearest visible one in the picture."""
+    depths = []
+    for k, camera in enumerate(cameras):
+        x, y, z = seen_by(camera, points)
+        there = (z > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+        at, z = np.column_stack([x, y])[there], z[there]
+        depths.append(_interpolated(at, z, (camera.height, camera.width)))
+        report("depths", (k + 1) / len(cameras))
+    return depths
+
+
+def seen_by(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixel positions x, y (N,), and depths (N,) of points; those behind the camera have depths below 0."""
+    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    z = np.where(np.abs(local[:, 2]) < 1e-12, -1e-12, local[:, 2])
+    return camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy, z
+
+
+def points_at(camera: Camera, depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """World points (N, 3) at pixels (N,) whole x and y of a view with depths (H, W)."""
+    z = depth[y, x].astype(np.float64)
+    local = np.column_stack([(x + 0.5 - camera.cx) / camera.fx * z, (y + 0.5 - camera.cy) / camera.fy * z, z])
+    return (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+
+
+def _interpolated(at: np.ndarray, z: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Depths (H, W) float32 of points at (N, 2) [px], each hidden by nearer ones beside it."""
+    if len(at) < POINTS_MIN:
+        return np.zeros(shape, np.float32)
+    tree = cKDTree(at)
+    spacing = np.median(tree.query(at, k=min(4, len(at)))[0][:, -1])
+    near = tree.query(at, k=min(8, len(at)), distance_upper_bound=CELL * spacing)[1]
+    nearest = np.append(z, np.inf)[near].min(axis=1)
+    visible = nearest > HIDDEN_RATIO * z
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    distance, index = cKDTree(at[visible]).query(np.column_stack([x.ravel(), y.ravel()]))
+    return np.where(distance < GAP * spacing, z[visible][index], 0.0).reshape(shape).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -110,29 +176,11 @@ def spread(cloud: SurfaceCloud, seeds: np.ndarray, labels: int, behind: np.ndarr
     side = diags(np.where(behind, 1.0, -1.0))
     across = 0.5 * (cloud.graph - side @ cloud.graph @ side)  # the edges with one end on a plane
     graph = (cloud.graph - (1.0 - np.exp(-OFF_PLANE)) * across).tocsr()
-    result = _walk(graph, seeds, labels, None)
+    result = random_walk(graph, seeds, labels, leak=LEAK)
     for _ in range(COLOR_ROUNDS):
-        result = _walk(graph, seeds, labels, _color_evidence(cloud, result))
+        evidence = COLOR_WEIGHT * _color_evidence(cloud, result)
+        result = random_walk(graph, seeds, labels, evidence=evidence, leak=LEAK)
     return _connected(graph, result, seeds)
-
-
-def _walk(graph: csr_matrix, seeds: np.ndarray, labels: int, evidence: np.ndarray | None) -> np.ndarray:
-    """Probabilities (P, labels) of where a random walker first meets a seed, or stops by `evidence` (P, labels)."""
-    free = seeds < 0
-    result = np.zeros((len(seeds), labels))
-    result[~free, seeds[~free]] = 1.0
-    if not free.any():
-        return result
-    w, degree = graph[free], np.asarray(graph.sum(axis=1)).ravel()[free] * (1.0 + LEAK) + 1e-12
-    extra = np.zeros((len(degree), labels)) if evidence is None else COLOR_WEIGHT * evidence[free]
-    degree = degree + extra.sum(axis=1)
-    inner = (diags(degree) - w[:, free]).tocsr()
-    scale, outer = diags(1.0 / degree), w[:, ~free]
-    for k in range(1, labels):
-        right = outer @ result[~free, k] + extra[:, k]
-        result[free, k] = cg(inner, right, rtol=SOLVE_TOLERANCE, maxiter=2000, M=scale)[0].clip(0, 1)
-    result[free, 0] = (1.0 - result[free, 1:].sum(axis=1)).clip(0, 1)
-    return result / result.sum(axis=1, keepdims=True).clip(1e-12)
 
 
 def _color_evidence(cloud: SurfaceCloud, likely: np.ndarray) -> np.ndarray:

@@ -8,13 +8,11 @@ import pytest
 
 from core.camera import look_at, perspective
 from core.errors import BadInput
+from prepare.onnx_network import MaskNetwork
 from prepare.segment.marks import Marks, ViewMarks
-from prepare.segment.mask_files import Masks, object_colors, overlap_of
-from prepare.segment.mask_network import MaskNetwork
-from prepare.segment.mask_overlay import contact_sheet, overlay
-from prepare.segment.mask_propagation import MarkPropagation, view_depths
-from prepare.segment.picture_cut import border_band, cut_objects, grab_cut
-from prepare.segment.view_depths import depths_of_points, points_at, seen_by
+from prepare.segment.mask_files import Masks, contact_sheet, object_colors, overlap_of, overlay
+from prepare.segment.mask_propagation import MarkPropagation, border_band, cut_objects, grab_cut, view_depths
+from prepare.segment.surface_cloud import depths_of_points, points_at, seen_by
 from prepare.train.capture import Capture, Lens, View
 from prepare.train.photographs import Photograph
 from studio.stroke_marks import two_strokes

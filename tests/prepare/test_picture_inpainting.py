@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import gaussian_filter
 
 from core.errors import BadInput
-from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
+from prepare.onnx_network import LamaNetwork
 from tests.support.onnx_network import Network
 
 COLOR = (0.9, 0.5, 0.1)
@@ -71,8 +71,8 @@ def test_a_lama_network_sees_no_dark_rim_of_the_hole(size, monkeypatch):
         seen.update(inputs)
         return np.full((3, 512, 512), 0.5)
 
-    monkeypatch.setattr("prepare.inpaint.lama_network.OnnxNetwork.__init__", lambda *_: None)
-    monkeypatch.setattr("prepare.inpaint.lama_network.OnnxNetwork.run", run)
+    monkeypatch.setattr("prepare.onnx_network.OnnxNetwork.__init__", lambda *_: None)
+    monkeypatch.setattr("prepare.onnx_network.OnnxNetwork.run", run)
     picture, hole = holed(*size)
     filled = LamaNetwork("lama.onnx")(picture, hole)
     assert filled.shape == picture.shape and np.abs(filled[hole] - 0.5).max() < 1e-6

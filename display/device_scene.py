@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from display.scene_bodies import AnimationTargets, load_bodies
 from render import MOVING_SORT
 from render.renderer import Renderer
 from render.shadow_map import ShadowMap
-from render.skinned_props import Skin, SkinnedProps
 from render.splats import Splats, StillPose
 from scenes.scene import Scene
 from sim.contact.contact_samples import MAX_SAMPLES
@@ -30,6 +30,9 @@ from sim.embedding import BodySpan, Embedding, PackedBody
 from sim.model import MAX_BODIES, Capacity
 from sim.rigid.rigid_body import RigidBody
 from sim.solver import SoftBody, Solver
+
+if TYPE_CHECKING:
+    from render.skinned_props import Skin, SkinnedProps
 
 # Capacity for vertices and Gaussians of bodies, in multiples of the scene's own. Memory is cheap, and a loop skips what
 # is not used; fields that had to grow at the first copy would be others, for which all kernels are compiled again.
@@ -78,7 +81,11 @@ class DeviceScene:
             capacity=self.first
             + max(math.ceil(HEADROOM * sum(self.gaussian_counts)), 2 * sum(len(p.part.gaussians) for p in reserved)),
         )
-        self.props = SkinnedProps(self.splats, props, len(still)) if props else None
+        self.props: SkinnedProps | None = None
+        if props:
+            from render.skinned_props import SkinnedProps
+
+            self.props = SkinnedProps(self.splats, props, len(still))
         self.obstacles = obstacles = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
         self._still_pose: StillPose | None = None
         self.sight = LineOfSight(obstacles)

@@ -11,7 +11,6 @@ from time import perf_counter
 from assets.file_access import check_writable
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
-from display.headless.video import Video
 from display.picture import check_picture_name, pixels_of, save_picture, side_by_side
 from display.protocol import Frame, WorldView
 from scenes.scene import Scene
@@ -57,6 +56,8 @@ class Headless:
             check_writable(self.snapshot)
         self._every, self._video, self._index = every, None, 0
         if record:
+            from display.headless.video import Video
+
             planned = -(-frames // every)
             self._video = Video(record, views * width, height, fps=1 / FRAME_DT / every, frames=planned)
 

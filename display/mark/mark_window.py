@@ -12,7 +12,8 @@ import numpy as np
 from core.camera import Camera, look_at
 from core.errors import BadInput, Cancelled
 from display.mark.mark_edit import MarkEdit, MarkState
-from display.picture import PictureTexture, fit
+from display.picture import fit
+from display.window.gl_context import PictureTexture
 from display.window.gl_window import GLWindow, has_display
 from display.window.mouse import OrbitCamera
 from display.window.widgets import apply_theme

@@ -1,4 +1,4 @@
-"""OpenGL contexts (moderngl), and textures that CUDA writes.
+"""OpenGL contexts (moderngl), and the picture as a texture, which CUDA writes.
 
 A context is made current elsewhere (GLFW), or has no surface (EGL). A picture goes from CUDA to OpenGL on the device by
 the driver's own library, which is there wherever Taichi runs on CUDA (CUDA driver API, chapter "OpenGL
@@ -11,7 +11,10 @@ import ctypes
 import sys
 from collections.abc import Callable
 
+import numpy as np
+
 from core.errors import BadInput
+from display.picture import fit, pixels_of
 
 NO_DISPLAY = "no display to open a window on"
 HEADLESS_INSTEAD = "run with --headless instead"
@@ -25,6 +28,23 @@ TEXTURE_2D = 0x0DE1  # OpenGL's enum
 WRITE_DISCARD = 0x02  # CU_GRAPHICS_REGISTER_FLAGS_WRITE_DISCARD
 DEVICE, ARRAY = 2, 3  # CUmemorytype
 BYTES_PER_PIXEL = 4
+VERTEX = """
+#version 330
+uniform int views;  // one below the other; the first is shown
+out vec2 uv;
+void main() {  // one triangle that covers the viewport; row 0 of the texture is the top
+    vec2 corner = vec2((gl_VertexID << 1) & 2, gl_VertexID & 2);
+    uv = vec2(corner.x, (1.0 - corner.y) / float(views));
+    gl_Position = vec4(2.0 * corner - 1.0, 0.0, 1.0);
+}
+"""
+FRAGMENT = """
+#version 330
+uniform sampler2D picture;
+in vec2 uv;
+out vec4 colour;
+void main() { colour = vec4(texture(picture, uv).rgb, 1.0); }
+"""
 
 
 def context_of(address: Callable[[str], int | None]):
@@ -197,3 +217,94 @@ def driver_functions() -> dict:
         functions[name] = cuda[name]
         functions[name].argtypes = kinds
     return functions
+
+
+class PictureTexture:
+    """The picture as an OpenGL texture of the current context, drawn to fill a window.
+
+    `upload` is the one place where the picture leaves Taichi: on CUDA it stays on the device, or passes
+    through the host where OpenGL runs elsewhere, which is reported once. Of several `views`, one below the other,
+    `draw` shows the first.
+    """
+
+    def __init__(self, gl, views: int = 1):
+        self._gl, self._views = gl, views
+        self._program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
+        self._triangle = gl.vertex_array(self._program, [])
+        self._program["views"] = views
+        self._texture = self._shared = None
+        self.through_host: bool | None = None  # the picture passes through the host; None before the first
+
+    @property
+    def texture(self):
+        """The whole picture as it was uploaded, row 0 on top; None before the first."""
+        return self._texture
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height) [px] of the last picture, None before the first."""
+        return self._texture.size if self._texture is not None else None
+
+    def upload(self, picture) -> None:
+        """Take over a finished picture, a ti.ndarray u32 (H, W); its size may change."""
+        self._make(*picture.shape)
+        if not self._share(picture):
+            self._texture.write(pixels_of(picture))
+
+    def upload_pixels(self, pixels: np.ndarray) -> None:
+        """Take over a picture on the host, (H, W, 3) uint8 RGB."""
+        height, width = pixels.shape[:2]
+        self._make(height, width)
+        opaque = np.full((height, width, 1), 255, np.uint8)
+        self._texture.write(np.concatenate([pixels, opaque], axis=2).tobytes())
+
+    def _make(self, height: int, width: int) -> None:
+        """Make the texture of this size, unless it is that already."""
+        if self.size != (width, height):
+            self.release()
+            self._texture = self._gl.texture((width, height), 4)
+            self._texture.repeat_x = self._texture.repeat_y = False
+
+    def _share(self, picture) -> bool:
+        """Copy the picture on the device; False if that is impossible here."""
+        import taichi as ti
+        from taichi.lang import impl
+
+        if self.through_host is None:
+            self.through_host = ti.cfg.arch != ti.cuda
+        if self.through_host:
+            return False
+        ti.sync()  # Taichi draws in a stream of its own
+        try:
+            self._shared = self._shared or CudaTexture(self._texture)
+            self._shared.write(impl.get_runtime().prog.get_ndarray_data_ptr_as_int(picture.arr))
+        except NoInterop as e:
+            self.through_host = True
+            print(f"pictures pass through the host: OpenGL does not share the GPU ({e})", file=sys.stderr, flush=True)
+            return False
+        return True
+
+    def release(self) -> None:
+        """Free the texture. Further calls do nothing."""
+        if self._shared is not None:
+            self._shared.close()
+        if self._texture is not None:
+            self._texture.release()
+        self._texture = self._shared = None
+
+    def draw(self, frame: tuple[int, int], place: tuple[int, int, int, int] | None = None) -> None:
+        """Fill a framebuffer of `frame` (width, height) [px], bars at the sides if the aspect differs.
+
+        place  (left, top, width, height) [px] of the picture, which may reach beyond the framebuffer
+        """
+        gl = self._gl
+        gl.screen.use()
+        gl.viewport = (0, 0, *frame)
+        gl.clear(0.0, 0.0, 0.0)
+        if self._texture is None:
+            return
+        left, top, width, height = place or fit((self.size[0], self.size[1] // self._views), frame)
+        gl.viewport = (left, frame[1] - top - height, width, height)
+        gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
+        self._texture.use(0)
+        self._triangle.render(gl.TRIANGLES, vertices=3)

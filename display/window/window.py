@@ -14,13 +14,14 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.panel import GIZMO_BUTTON, Panel
-from display.picture import PictureTexture, fit
+from display.picture import fit
 from display.preferences import Preferences, read_bookmarks
 from display.protocol import Frame, WorldView
 from display.user_commands import Command, Pause, SingleStep, ViewFiles, last_of
 from display.window.controls import HOVER_OPACITY, ROOM_GIZMO, Controls, Hover
 from display.window.dialogs import LengthDialog, OpenDialog, SceneMenu, UpChoice
 from display.window.gizmo import Gizmo
+from display.window.gl_context import PictureTexture
 from display.window.gl_window import GLWindow
 from display.window.mouse import MouseHand, OrbitCamera
 from display.window.overlay import FirstHint, draw_lines, measuring_lines

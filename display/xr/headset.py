@@ -17,10 +17,9 @@ from display.adaptive_resolution import DynamicResolution
 from display.clock import Clock
 from display.edit.selection_marker import marked
 from display.panel import Panel
-from display.picture import PictureTexture
 from display.protocol import Frame, WorldView
 from display.user_commands import Command
-from display.window.gl_context import EglContext
+from display.window.gl_context import EglContext, PictureTexture
 from display.window.gl_window import GLWindow, has_display
 from display.window.panel_drawer import PanelDrawer
 from display.xr import avatar

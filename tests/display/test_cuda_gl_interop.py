@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from core.errors import BadInput
-from display import picture as module
-from display.picture import PictureTexture
-from display.window.gl_context import Copy2D, NoInterop
+from display.window import gl_context as module
+from display.window.gl_context import Copy2D, NoInterop, PictureTexture
 
 
 class Texture:

@@ -207,12 +207,9 @@ class Contacts(Constraint):
                     self.constraints.clear_impulse(p)
 
     @ti.func
-    def project_vertex(self, i, dx, first: ti.template()):
+    def project_vertex(self, i, dx):
         """The hands' springs, then vertex i itself out of all shapes near it; the constraints come after."""
-        d = dx
-        if ti.static(first):
-            d = self.hands.apply_springs(i, dx)
-        return self.static.project_vertex(i, d, first)
+        return self.static.project_vertex(i, self.hands.apply_springs(i, dx))
 
     @ti.func
     def evaluate_vertex(self, i):
@@ -227,7 +224,7 @@ class Contacts(Constraint):
         return self.static.project_vertex_metric(i, dx, H, A, prior)
 
     @ti.func
-    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k, first: ti.template()):
+    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k):
         """Phase 0 activates the candidates that touch; then, pass by pass, all of these take steps.
 
         In later passes those of rigid bodies alone: what soft bodies do to one another waits for the next substep. In
@@ -239,7 +236,7 @@ class Contacts(Constraint):
                 if k == 0:
                     self.constraints.begin_passes()
                 if self.constraints.status[r] != NOT_CHECKED:
-                    self._activate(r, self.constraints.status[r] == VALID, first, integrator)
+                    self._activate(r, self.constraints.status[r] == VALID, integrator)
             elif ti.static(self.soft or self.has_fingers):
                 skipped = False
                 if ti.static(self.coupled):
@@ -270,12 +267,12 @@ class Contacts(Constraint):
         return count
 
     @ti.func
-    def _activate(self, r, usable, first: ti.template(), integrator: ti.template()):
+    def _activate(self, r, usable, integrator: ti.template()):
         if self._grouped(r):
             if ti.static(self.coupled):
-                self.rigid.activate(r, usable, first, integrator)
+                self.rigid.activate(r, usable, integrator)
         elif ti.static(self.soft or self.has_fingers):
-            self.constraints.activate(r, usable, first, integrator)
+            self.constraints.activate(r, usable, integrator)
 
     @ti.func
     def _grouped(self, r):

@@ -33,7 +33,7 @@ from sim.rigid.rigid_bodies import MAX_RIGID_SUBSTEP, RigidBodies, passes_for
 from sim.rigid.rigid_body import RigidBody
 from sim.sleeping import Sleeping
 from sim.state import MOTION, MotionArrays, State, motion_of
-from sim.time_step import STABILITY_LIMIT, Integration, Schedule, choose_integration
+from sim.time_step import STABILITY_LIMIT, SWEEPS, Integration, Schedule, choose_integration
 
 MAX_FRAME_DT = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
 INTERACTIONS = ("physics", "transform")
@@ -43,14 +43,14 @@ WARM_UP_SUBSTEP = 1e-6  # [s] of the substeps that only compile; stable for any 
 class Solver:
     """Simulation of `bodies` among static `colliders`.
 
-    substep [s] and iterations (sweeps a substep) are forced, or None for what suits the integrator: "xpbd", "vbd", or
-    by "auto" the cheaper one (sim/time_step.py). collision_passes is the number of searches for contacts a
-    frame; hands is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies
-    follow the hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/model.py).
-    Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
-    a body passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies. With `sleep`,
-    bodies that rest are not simulated until something reaches them (sim/sleeping.py); without contacts none sleeps.
-    `kinematic` moves kinematic bodies and pinned vertices (sim/kinematic_targets.py).
+    substep [s] is forced, or None for what suits the integrator: "xpbd", "vbd", or by "auto" the cheaper one
+    (sim/time_step.py). collision_passes is the number of searches for contacts a frame; hands is how many may grip;
+    frame_dt [s] is the usual frame. With interaction "transform" gripped bodies follow the hand rigidly and nothing
+    else moves. `capacity` is for bodies that are added later (see sim/model.py). Without contacts, bodies pass through
+    all else and no hand grips: to measure elasticity alone; without self_contact a body passes through itself. With
+    fingers, the capsules of a hand (`Hand.touch`) push the bodies. With `sleep`, bodies that rest are not simulated
+    until something reaches them (sim/sleeping.py); without contacts none sleeps. `kinematic` moves kinematic bodies and
+    pinned vertices (sim/kinematic_targets.py).
     """
 
     def __init__(
@@ -60,7 +60,6 @@ class Solver:
         *,
         gravity=(0.0, -9.81, 0.0),
         substep: float | None = None,
-        iterations: int | None = None,
         collision_passes: int = 1,
         hands: int = 2,
         interaction: str = "physics",
@@ -77,7 +76,7 @@ class Solver:
             raise BadInput("nothing to simulate: no body has a cage and a material")
         if collision_passes < 1:
             raise BadInput(f"collision_passes must be at least 1, not {collision_passes}")
-        self._wanted = {"frame_dt": frame_dt, "integrator": integrator, "substep": substep, "iterations": iterations}
+        self._frame_dt, self._wanted_integrator, self._wanted_substep = frame_dt, integrator, substep
         self.collision_passes, self.interaction = collision_passes, interaction
         self.gravity = tuple(float(g) for g in gravity)
         first = Model(models_of(bodies))
@@ -87,7 +86,7 @@ class Solver:
         blocks = self._blocks = ReductionBlocks(s)
         self._reductions = Reductions(s, blocks)
         grasps = Grasps(s, hands) if contacts else None
-        passes = passes_for(choose_for(first, self._wanted, rigid=True).substep)
+        passes = passes_for(self._choose_integration(first, rigid=True).substep)
         rigid = self.rigid_bodies = RigidBodies(s, RigidGrasp(s, grasps), passes=passes) if self._with_rigid else None
         self.contacts: Contacts | None = None
         if contacts:
@@ -100,7 +99,7 @@ class Solver:
         self.kinematic = KinematicTargets(s, self.rigid_bodies)
         self._recovery = NonFiniteRecovery(s)
         self._rigid_editing = RigidEditing(s)
-        self._integrators = Integrators(s, self.elasticity, self._constraints, self.rigid_bodies, blocks)
+        self._integrators: dict = {}  # each made at its first use
         self._last_schedule = (0, 0.0)  # substeps of the last frame, and their length [s]
         self._motion = MotionArrays(s)
         self._load(first)
@@ -258,7 +257,7 @@ class Solver:
             "stability": dt * math.sqrt(self._model.kappas.max(initial=0.0)),
             "stability_limit": STABILITY_LIMIT,
             "integrator": self._integration.integrator,
-            "iterations": self._integration.iterations,
+            "iterations": self.integrator.iterations,
             "collision_passes": self.collision_passes,
             "finite": self._reductions.finite(),
             "asleep": int(self._asleep().sum()),
@@ -365,10 +364,8 @@ class Solver:
 
     def _warm_up_integrators(self) -> None:
         """Take a substep with each integrator that these bodies can come to need if they are edited."""
-        names = ("xpbd", "vbd") if self._wanted["integrator"] == "auto" else (self._integration.integrator,)
-        for name in names:
-            any_stiffness = {**self._wanted, "integrator": name, "substep": None}
-            integrator = self._integrators.get(name, choose_integration(0.0, **any_stiffness).iterations)
+        for name in ("xpbd", "vbd") if self._wanted_integrator == "auto" else (self._integration.integrator,):
+            integrator = self._made_integrator(name)
             integrator.load(self._model)
             self._all_sleep(WARM_UP_SUBSTEP, (), 1)
             self._begin_frame(WARM_UP_SUBSTEP, (), 1)
@@ -380,14 +377,35 @@ class Solver:
             integrator.reset()
         self.kinematic.end_frame()
 
+    def _choose_integration(self, model: Model, *, rigid: bool) -> Integration:
+        """Choose for these bodies; rigid ones limit the substep. BadInput if what is forced does not suit."""
+        kappas = model.kappas
+        chosen = choose_integration(
+            float(kappas.max(initial=0.0)),
+            frame_dt=self._frame_dt,
+            integrator=self._wanted_integrator,
+            substep=self._wanted_substep,
+            stiffest=model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing",
+            crossing=model.crossing,
+            device="cuda" if ti.cfg.arch == ti.cuda else "cpu",
+        )
+        longest = MAX_RIGID_SUBSTEP * SWEEPS[chosen.integrator]
+        return replace(chosen, substep=min(chosen.substep, longest)) if rigid else chosen
+
+    def _made_integrator(self, name: str):
+        if name not in self._integrators:
+            parts = self.state, self.elasticity, self._constraints, self.rigid_bodies, self._blocks
+            self._integrators[name] = make_integrator(name, *parts)
+        return self._integrators[name]
+
     def _load(self, model: Model) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
-        integration = choose_for(model, self._wanted, rigid=self._with_rigid)
+        integration = self._choose_integration(model, rigid=self._with_rigid)
         self.state.check_capacity(model.sizes)
         for c in self._constraints:
             c.check_capacity(model)
         self._model, self._integration = model, integration
-        self.integrator = self._integrators.get(integration.integrator, integration.iterations)
+        self.integrator = self._made_integrator(integration.integrator)
         parts = (self.state, self.elasticity, self._blocks, self._reductions, self.integrator, self.untangling)
         for part in (*parts, self.kinematic, *self._constraints):
             part.load(model)
@@ -443,57 +461,24 @@ class Solver:
         return [b in grasped for b in range(len(self._model.bodies))]
 
 
-def choose_for(model: Model, wanted: dict, *, rigid: bool) -> Integration:
-    """Choose integrator, substep and sweeps for these bodies, or BadInput if what is `wanted` does not suit them.
-
-    wanted: options of `choose_integration`; rigid: rigid bodies limit the substep.
-    """
-    kappas = model.kappas
-    stiffest = model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing"
-    device = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
-    options = {"stiffest": stiffest, "crossing": model.crossing, "device": device, **wanted}
-    chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
-    longest = MAX_RIGID_SUBSTEP * chosen.iterations
-    return replace(chosen, substep=min(chosen.substep, longest)) if rigid else chosen
-
-
-class Integrators:
-    """The integrators "xpbd" and "vbd" of one solver; on CUDA as persistent kernels."""
-
-    def __init__(
-        self,
-        state: State,
-        elasticity: Elasticity,
-        constraints: Sequence[Constraint],
-        rigid_bodies: RigidBodies | None,
-        blocks: ReductionBlocks,
-    ):
-        self.state, self.elasticity, self.constraints = state, elasticity, list(constraints)
-        self.rigid_bodies, self.blocks = rigid_bodies, blocks
-        self.made: dict = {}
-
-    def get(self, name: str, iterations: int):
-        """The integrator of this name, with so many sweeps a substep."""
-        if name not in self.made:
-            self.made[name] = self._make(name, iterations)
-        return self.made[name]
-
-    def _make_persistent_vbd(self, iterations: int):
-        """The VBD kernel that stays, with two blocks for each multiprocessor where these run at once."""
-        parts = self.state, self.elasticity, self.constraints, self.rigid_bodies, self.blocks
-        made = PersistentVBD(*parts, iterations=iterations, per_multiprocessor=2)
-        if not made.fits():
-            made.destroy()
-            made = PersistentVBD(*parts, iterations=iterations)
-        return made
-
-    def _make(self, name: str, iterations: int):
-        parts = self.state, self.elasticity, self.constraints, self.rigid_bodies
-        on_cuda = ti.cfg.arch == ti.cuda
-        if name == "vbd" and on_cuda:
-            return self._make_persistent_vbd(iterations)
-        if name == "vbd":
-            return VBDSubsteps(*parts, self.blocks, iterations=iterations)
-        if on_cuda and iterations == 1:
-            return PersistentXPBD(self.state, self.constraints, self.rigid_bodies)
-        return XPBDSubsteps(*parts, iterations=iterations)
+def make_integrator(
+    name: str,
+    state: State,
+    elasticity: Elasticity,
+    constraints: list[Constraint],
+    rigid_bodies: RigidBodies | None,
+    blocks: ReductionBlocks,
+):
+    """The integrator "xpbd" or "vbd"; on CUDA a persistent kernel."""
+    on_cuda = ti.cfg.arch == ti.cuda
+    if name == "xpbd":
+        if on_cuda:
+            return PersistentXPBD(state, constraints, rigid_bodies)
+        return XPBDSubsteps(state, elasticity, constraints, rigid_bodies)
+    if not on_cuda:
+        return VBDSubsteps(state, elasticity, constraints, rigid_bodies, blocks)
+    made = PersistentVBD(state, elasticity, constraints, rigid_bodies, blocks, per_multiprocessor=2)
+    if not made.fits():
+        made.destroy()
+        made = PersistentVBD(state, elasticity, constraints, rigid_bodies, blocks)
+    return made

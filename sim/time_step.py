@@ -20,7 +20,8 @@ STABILITY_LIMIT = 0.3  # of dt sqrt(max kappa), measured for unaveraged Jacobi w
 # demos --detail paper` on an H200 (the horse: 13), of the cat of 2.3k vertices of `bench scene` on two CPU cores.
 VBD_COST = {"cuda": 9.5, "cpu": 14.0}
 MAX_XPBD_SUBSTEPS = 5000  # a frame, if XPBD is forced
-VBD_SUBSTEP, VBD_SWEEPS = 1 / 1260, 2  # [s], a substep. With one sweep, light stiff plates jump from the floor
+VBD_SUBSTEP = 1 / 1260  # [s]
+SWEEPS = {"xpbd": 1, "vbd": 2}  # a substep. With one sweep of VBD, light stiff plates jump from the floor
 # Lengths of a body that a pressure wave crosses in a substep of VBD. Two sweeps and the modes do not converge where it
 # crosses more: a tiny displacement by a contact stores many times the body's energy, and throws it. Of 144
 # cubes, bars, plates and rings thrown at 5 m/s, none came back faster than it went at 3, 6 and 8 lengths; at 39, most.
@@ -68,11 +69,10 @@ def largest_substep(kappa: float) -> float:
 
 @dataclass(frozen=True)
 class Integration:
-    """Integrator "xpbd" or "vbd", its substep [s], and its sweeps a substep."""
+    """Integrator "xpbd" or "vbd", and its substep [s]."""
 
     integrator: str
     substep: float
-    iterations: int
 
 
 def choose_integration(
@@ -81,7 +81,6 @@ def choose_integration(
     frame_dt: float,
     integrator: str = "auto",
     substep: float | None = None,
-    iterations: int | None = None,
     stiffest: str = "bodies",
     crossing: float = math.inf,
     device: str = "cpu",
@@ -90,26 +89,24 @@ def choose_integration(
 
     `stiffest` names the body in errors; `crossing` [s] is the shortest time in which a pressure wave crosses a body.
     "auto" is XPBD where its rule allows the forced substep, or without one if its substeps cost at most as much as
-    VBD's on this device ("cuda" or "cpu"), else VBD. None: the longest substep of the rule and one sweep, or
-    VBD_SUBSTEP, or less after WAVE_CROSSINGS, and VBD_SWEEPS.
+    VBD's on this device ("cuda" or "cpu"), else VBD. None: the longest substep of the rule, or VBD_SUBSTEP, or less
+    after WAVE_CROSSINGS.
     """
     longest = largest_substep(kappa)
     if integrator not in INTEGRATORS:
         raise BadInput(f"integrator must be one of {', '.join(INTEGRATORS)}, not {integrator!r}")
     if substep is not None and not 0 < substep <= frame_dt:
         raise BadInput(f"a substep must be between 0 and the frame of {frame_dt:.3g} s, not {substep:g} s")
-    if iterations is not None and iterations < 1:
-        raise BadInput(f"iterations must be at least 1, not {iterations}")
     stable = substep is None or substep <= 1.0001 * longest
     usual = min(VBD_SUBSTEP, frame_dt, WAVE_CROSSINGS * crossing)
     cheap = substep is not None or usual <= VBD_COST[device] * longest
     if integrator == "vbd" or (integrator == "auto" and not (stable and cheap)):
-        return Integration("vbd", substep or usual, iterations or VBD_SWEEPS)
+        return Integration("vbd", substep or usual)
     if not stable:
         raise BadInput(f"{stiffest}: a substep of {substep:g} s is not stable with XPBD: at most {longest:.3g} s")
     if math.ceil(frame_dt / longest) > MAX_XPBD_SUBSTEPS:
         raise BadInput(f"{stiffest}: too stiff for XPBD: {frame_dt / longest:.3g} substeps a frame")
-    return Integration("xpbd", substep or longest, iterations or 1)
+    return Integration("xpbd", substep or longest)
 
 
 @dataclass(frozen=True)

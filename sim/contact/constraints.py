@@ -127,7 +127,7 @@ class ContactConstraints:
         self.body[r, e], self.sign[r, e], self.lever_arm[r, e] = b, sign, x - self.rigid_bodies.x[b]
 
     @ti.func
-    def activate(self, r, usable, first: ti.template(), integrator: ti.template()):
+    def activate(self, r, usable, integrator: ti.template()):
         """First pass: a constraint that carries a load or is about to counts for mass splitting and warm-starts."""
         self.active[r] = 0
         if usable and (
@@ -145,8 +145,7 @@ class ContactConstraints:
             if ti.static(self.coupled):
                 for e in range(self.body_count[r]):
                     self.rigid_bodies.count_split(self.body[r, e])
-            if ti.static(first):
-                self.add_impulse(r, self.impulse[r], 0)
+            self.add_impulse(r, self.impulse[r], 0)
         else:
             self.clear_impulse(r)
             if usable:
@@ -307,14 +306,6 @@ class ContactForces:
         self.correction = self._group.vector(state.V)
         self.total = self._group.scalar(MAX_BODIES, 3, dtype=ti.i64)
         self._group.build()
-
-    @ti.func
-    def add(self, i, correction, first: ti.template()):
-        """Static shapes moved vertex i by this correction [m] in a sweep; `first` starts the substep."""
-        if ti.static(first):
-            self.correction[i] = correction
-        else:
-            self.correction[i] += correction
 
     @ti.func
     def clear(self, i):

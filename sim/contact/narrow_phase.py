@@ -90,12 +90,11 @@ class StaticContact:
         return phi, n, friction
 
     @ti.func
-    def project_vertex(self, i, dx, first: ti.template()):
+    def project_vertex(self, i, dx):
         """The increment dx of vertex i [m], moved out of all shapes near it; constraints push as in the last sweep."""
         s, d = self.state, dx
         p = self.samples.of_vertex[i]
-        later = ti.static(0 if first else 1)  # what the first sweep checked is postponed to the next substep at least
-        if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] + later >= self.constraints.next_check[p]:
+        if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
             y = d - s.x_lo[i] + self.constraints.last_correction[i]
             clearance, correction = UNKNOWN_DISTANCE, vec3(0.0)
             for k in range(self.near_count[p]):
@@ -109,7 +108,7 @@ class StaticContact:
                 else:
                     clearance = 0.0  # a grid that has no distance here may have one in a moment
             d += correction
-            self.forces.add(i, correction, first)
+            self.forces.correction[i] = correction
             self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
         return d
 
@@ -158,7 +157,7 @@ class StaticContact:
                     d += A @ f
                     force += f
                     stiffness = ti.max(stiffness, ti.min(n.dot(H @ n), n.dot(f) / lacking))
-            self.forces.add(i, s.dt[None] ** 2 / s.mass[i] * force, True)
+            self.forces.correction[i] = s.dt[None] ** 2 / s.mass[i] * force
         return d, force, stiffness
 
     @ti.func

@@ -95,22 +95,22 @@ def energy_density(I1, dJ, mu, lam):
 
 @ti.func
 def curvature(W, V, I1, dJ, kappa, mu, lam):
-    """q = sum w |V h|^2 / C^2, C^2 = 2 V Psi, of W = sum w |h|^2 (h = grad Psi); also C^2 / V, bounded from below.
+    """q = sum w |V h|^2 / C^2, C^2 = 2 V Psi, of W = sum w |h|^2 (h = grad Psi).
 
     q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond, it is rounding noise over a small C.
     """
     energy = ti.max(2.0 * energy_density(I1, dJ, mu, lam), 1e-12 * mu)
-    return ti.min(V * W / energy, kappa * ti.max(1.0, I1 * I1 / 9.0)), energy
+    return ti.min(V * W / energy, kappa * ti.max(1.0, I1 * I1 / 9.0))
 
 
 @ti.func
 def shortened_step(F, g: ti.template(), w, W, motion, V, I1, dJ, kappa, mu, lam, dt2):
-    """Stable step of a single sweep for a tet far from rest, with its brake: -s of Elasticity.project_tet.
+    """Stable step for a tet far from rest, with its brake: -s of Elasticity.project_tet.
 
     g: the 4 gradients of its shape functions; W = sum w |h|^2 and motion = sum h . dx of the gradients h of Psi, which
     come as sums because four vectors more would cost the persistent kernel its registers.
     """
-    q, _ = curvature(W, V, I1, dJ, kappa, mu, lam)
+    q = curvature(W, V, I1, dJ, kappa, mu, lam)
     cof, volume_stiffness = cofactor(F), 0.0
     for k in ti.static(range(4)):
         volume_stiffness += V * w[k] * (cof @ g[k]).norm_sqr()
@@ -129,7 +129,6 @@ class Elasticity:
         self.rest_inverse = g.matrix(T)  # B = D_m^-1 [1/m]; row k is the gradient of the shape function of corner k + 1
         self.volume = g.scalar(T)  # at rest [m^3]
         self.kappa = g.scalar(T)  # stiffness bound [1/s^2]
-        self.multiplier = g.scalar(T)  # lambda of XPBD
         self.slot = g.vector(T, n=4, dtype=ti.i32)  # slot of each corner
         self.slots = g.vector(4 * T)  # corrections or forces of corners; those of a vertex lie together
         self.slot_begin = g.scalar(V + 1, dtype=ti.i32)  # first slot of each vertex
@@ -151,14 +150,12 @@ class Elasticity:
         )
 
     @ti.func
-    def project_tet(self, t, first: ti.template(), single: ti.template()):
+    def project_tet(self, t):
         """Corrections s g_i of one tet (without the inverse masses), written to its corners' slots.
 
         U = V Psi, C = sqrt(2 U), [g1 g2 g3] = V P B^T, g0 = -(g1 + g2 + g3), q = sum w |g|^2 / C^2:
-        many sweeps   s = -(1 + lambda / (dt^2 C)) / (q + 1/dt^2),   lambda += C s
-        single sweep  s = -min(dt^2, 1 / (TET_OVERLAP q), 1 / (VOLUME_OVERLAP q_J)),
-                      q_J = lam V sum w |cof F grad N|^2
-        One Jacobi sweep never converges, so there the 1/(q + 1/dt^2) of each tet, which differs from tet to tet, would
+            s = -min(dt^2, 1 / (TET_OVERLAP q), 1 / (VOLUME_OVERLAP q_J)),   q_J = lam V sum w |cof F grad N|^2
+        One Jacobi sweep never converges, so XPBD's 1/(q + 1/dt^2) of each tet, which differs from tet to tet, would
         only soften it by up to dt^2 kappa (9% at the stability limit) and leave a wrong shape at rest. The stability
         rule already makes s = -dt^2 safe at small strain, where q <= kappa. The step is shortened, by enough for all
         tets that a vertex shares, only where q is far larger: in crushed, inverted and far stretched tets. There q says
@@ -184,7 +181,7 @@ class Elasticity:
         H = P @ B.transpose()
         V = self.volume[t]
         s = -V * dt * dt
-        if ti.static(not single) or I1 > STRETCHED_I1 or dJ < CRUSHED_DJ:
+        if I1 > STRETCHED_I1 or dJ < CRUSHED_DJ:
             if dJ < -1.0:
                 s_.inverted[b] = 1
             kappa = self.kappa[t]
@@ -193,20 +190,10 @@ class Elasticity:
             w = ti.Vector([s_.inv_mass[a[0]], s_.inv_mass[a[1]], s_.inv_mass[a[2]], s_.inv_mass[a[3]]])
             W = w[0] * h0.norm_sqr() + w[1] * h1.norm_sqr()
             W += w[2] * h2.norm_sqr() + w[3] * h3.norm_sqr()
-            if ti.static(single):
-                g1, g2, g3 = row(B, 0), row(B, 1), row(B, 2)
-                g = ti.static([-(g1 + g2 + g3), g1, g2, g3])
-                motion = h0.dot(s_.dx[a[0]]) + h1.dot(s_.dx[a[1]]) + h2.dot(s_.dx[a[2]]) + h3.dot(s_.dx[a[3]])
-                s = -shortened_step(F, g, w, W, motion, V, I1, dJ, kappa, mu, lam, dt * dt)
-            else:
-                q, energy = curvature(W, V, I1, dJ, kappa, mu, lam)
-                C = ti.sqrt(V * energy)
-                before = 0.0
-                if ti.static(not first):
-                    before = self.multiplier[t]
-                step = -(1.0 + before / (dt * dt * C)) / (q + 1.0 / (dt * dt))
-                self.multiplier[t] = before + C * step
-                s = V * step
+            g1, g2, g3 = row(B, 0), row(B, 1), row(B, 2)
+            g = ti.static([-(g1 + g2 + g3), g1, g2, g3])
+            motion = h0.dot(s_.dx[a[0]]) + h1.dot(s_.dx[a[1]]) + h2.dot(s_.dx[a[2]]) + h3.dot(s_.dx[a[3]])
+            s = -shortened_step(F, g, w, W, motion, V, I1, dJ, kappa, mu, lam, dt * dt)
         self._write(t, H, s)
 
     @ti.func

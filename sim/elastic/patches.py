@@ -109,7 +109,7 @@ class Patches:
     def project(self, k, parity, shared: ti.template()):
         """Write the corrections (without the inverse mass) of patch tet k to the slots of its patch's own corners.
 
-        The step is that of Elasticity.project_tet for a single sweep.
+        The step is that of Elasticity.project_tet.
         """
         s = self.state
         R = ti.static(self.gradient)

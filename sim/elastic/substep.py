@@ -66,8 +66,8 @@ class Constraint:
         """Compile kernels that a frame may need later, by calls that change nothing."""
 
     @ti.func
-    def project_vertex(self, i, dx, first: ti.template()):
-        """XPBD: the corrected increment of vertex i, whose w > 0; `first`: in the first sweep of a substep.
+    def project_vertex(self, i, dx):
+        """XPBD: the corrected increment of vertex i, whose w > 0.
 
         Runs in the integrator's loop over vertices, with dx in registers; state.dx[i] must not be touched.
         """
@@ -92,10 +92,10 @@ class Constraint:
 
     @ti.func
     def evaluate(self, k):
-        """Evaluate what element k of phase 0 needs of the committed state; before that phase, in the first sweep."""
+        """Evaluate what element k of phase 0 needs of the committed state; before that phase, once a substep."""
 
     @ti.func
-    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k, first: ti.template()):
+    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k):
         """Solve element k < phase_sizes[phase]; `later`: phase > 0, so that one compiled loop does for all of these."""
 
     @ti.func
@@ -315,7 +315,7 @@ def solve_phases(integrator: ti.template(), thread, rounds, passes):
                         g += integrator.grid.warps
                 k, end = integrator.grid.scattered(thread), c.phase_count(later)
                 while k < end:
-                    c.solve_phase(integrator, later, later + turn, k, True)
+                    c.solve_phase(integrator, later, later + turn, k)
                     k += integrator.grid.threads
                 passed = integrator.grid.meet(thread, passed, s.substep_index, 0)
                 turn += 1
@@ -339,7 +339,7 @@ def own_vertices(integrator: ti.template(), thread):
     return begin + thread % size, ti.min(begin + length, count)
 
 
-def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, passes=(ALL_PASSES,)) -> list[list]:
+def phase_kernels(s: State, integrator, c: Constraint, passes=(ALL_PASSES,)) -> list[list]:
     """The phases of constraint c as kernels of their own: a list for each of `passes`, the most after the first phase.
 
     With rigid bodies a single kernel for a CPU would take minutes to compile.
@@ -359,7 +359,7 @@ def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, passes=(A
                             c.release_group(k // lanes)
             ti.loop_config(serialize=s.serial)
             for k in range(c.phase_sizes[phase]):
-                c.solve_phase(integrator, ti.static(phase > 0), phase, k, first)
+                c.solve_phase(integrator, ti.static(phase > 0), phase, k)
 
         return run
 

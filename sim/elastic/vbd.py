@@ -31,6 +31,7 @@ from sim.elastic.substep import ALL_PASSES, Constraint, block_size, commit, phas
 from sim.model import Model, RestShape, stacked
 from sim.reductions import ReductionBlocks
 from sim.state import State
+from sim.time_step import SWEEPS
 
 MAX_COLORS = 64
 EARLY_PASSES = 1  # over rigid contacts in all sweeps but the last: the next sweep applies all impulses again
@@ -180,10 +181,10 @@ class VertexDescent:
 
 @ti.data_oriented
 class VBDSubsteps:
-    """Substeps of `iterations` sweeps each; `run(substeps)` replays several with one call from Python."""
+    """Substeps of two sweeps each; `run(substeps)` replays several with one call from Python."""
 
     max_substeps = 16  # behind one call
-    warm_started = True
+    warm_started, iterations = True, SWEEPS["vbd"]
 
     def __init__(
         self,
@@ -192,10 +193,8 @@ class VBDSubsteps:
         constraints: list[Constraint],
         rigid,
         blocks: ReductionBlocks,
-        *,
-        iterations: int,
     ):
-        self.state, self.elasticity, self.iterations = state, elasticity, iterations
+        self.state, self.elasticity = state, elasticity
         self.descent = d = VertexDescent(state, constraints, rigid)
         self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
         g = self._group = FieldGroup()
@@ -233,10 +232,7 @@ class VBDSubsteps:
         if self.kernels is None:
             phases = [[self._phases()] if self.in_pairs else []] * 2  # of all sweeps but the last, and of that
             if self.descent.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
-                rigid = [
-                    phase_kernels(self.state, self, c, first=True, passes=(EARLY_PASSES, ALL_PASSES))
-                    for c in self.in_pairs
-                ]
+                rigid = [phase_kernels(self.state, self, c, (EARLY_PASSES, ALL_PASSES)) for c in self.in_pairs]
                 phases = [[k for kernels in rigid for k in kernels[n]] + phases[n] for n in range(2)]
             self.kernels = self._begin(), self._sweep(), phases, self.modal.kernels(), self._end()
         begin, sweep, phases, modal, end = self.kernels
@@ -320,7 +316,7 @@ class VBDSubsteps:
                 for phase in ti.static(range(len(c.phase_sizes))):
                     ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
                     for k in range(c.phase_sizes[phase]):
-                        c.solve_phase(self, ti.static(phase > 0), phase, k, True)
+                        c.solve_phase(self, ti.static(phase > 0), phase, k)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if s.awake_vertex(i):

@@ -22,16 +22,17 @@ from sim.elastic.vbd import EARLY_PASSES, VertexDescent
 from sim.model import MAX_BODIES, Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
+from sim.time_step import SWEEPS
 
 LANES = 8  # threads that share the tets of a vertex
 
 
 @ti.data_oriented
 class PersistentVBD:
-    """`run(n)` makes n substeps of `iterations` sweeps each, if the grid `fits`."""
+    """`run(n)` takes n substeps of two sweeps each, if the grid `fits`."""
 
     max_substeps = 64  # behind one call
-    warm_started = True
+    warm_started, iterations = True, SWEEPS["vbd"]
 
     def __init__(
         self,
@@ -41,11 +42,10 @@ class PersistentVBD:
         rigid,
         blocks: ReductionBlocks,
         *,
-        iterations: int,
         per_multiprocessor: int = 1,
     ):
         """per_multiprocessor: blocks for each; see `fits`."""
-        self.state, self.iterations = state, iterations
+        self.state = state
         self.grid = PersistentGrid(WORDS, POINTS, per_multiprocessor=per_multiprocessor)
         self.lanes = min(LANES, self.grid.block)
         self.patches = ColorPatches(state, self.grid.blocks)

@@ -1,8 +1,6 @@
-"""XPBD: Jacobi sweeps over all tets and vertices, as a sequence of kernels that is recorded once and replayed.
+"""XPBD: a Jacobi sweep over all tets and vertices in each substep (VR-GS, Sec. 4.1; sim/elastic/energy.py).
 
-A sweep is a loop over tets; a loop in which each vertex sums its tets' corrections and meets static shapes and hands;
-the phases of the constraints; and a loop in which each vertex takes what these pushed. The last sweep commits. Without
-pairs the last two are left out, so that a substep of one sweep is two loops.
+On the CPU a sequence of kernels is recorded once and replayed, on CUDA one kernel stays for many substeps.
 """
 
 import taichi as ti
@@ -24,25 +22,28 @@ from sim.elastic.substep import (
 )
 from sim.model import Model
 from sim.state import State
+from sim.time_step import SWEEPS
 
 
 @ti.data_oriented
 class XPBDSubsteps:
-    """Substeps of `iterations` sweeps each; `run(substeps)` replays several with one call from Python."""
+    """Substeps of one sweep each; `run(substeps)` replays several with one call from Python.
+
+    begin     each tet writes its corrections; each vertex sums them, and meets static shapes and hands
+    phases    of the constraints among vertices and bodies
+    end       each vertex takes what the phases pushed, and is committed
+    """
 
     max_substeps = 16  # behind one call
-    warm_started = False
+    warm_started, iterations = False, SWEEPS["xpbd"]
 
-    def __init__(self, state: State, elasticity: Elasticity, constraints: list[Constraint], rigid, *, iterations: int):
-        self.state, self.elasticity, self.rigid, self.iterations = state, elasticity, rigid, iterations
+    def __init__(self, state: State, elasticity: Elasticity, constraints: list[Constraint], rigid):
+        self.state, self.elasticity, self.rigid = state, elasticity, rigid
         self.has_rigid, self.effective_inv_mass = rigid is not None, state.inv_mass
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
-        if iterations == 1:
-            self.kernels = self._sweep(first=True, single=True)
-        else:  # two sweeps and the commit are compiled, instead of a third sweep that commits
-            sweeps = self._sweep(first=True, single=False) + self._sweep(first=False, single=False) * (iterations - 1)
-            self.kernels = [*sweeps, self._commit()]
+        self.tet_block, self.vertex_block = block_size(state, state.T), block_size(state, state.V)
+        self.kernels = self._kernels()
         self.graphs: dict[int, ti.graph.Graph] = {}
 
     def load(self, model: Model) -> None:
@@ -60,101 +61,85 @@ class XPBDSubsteps:
     def reset(self) -> None:
         """Forget the last substep: nothing outlives it but what the state holds."""
 
-    def _sweep(self, *, first: bool, single: bool) -> list:
-        """Kernels of a sweep, the `first` of its substep or its only one, which commits.
+    @ti.func
+    def _begin(self):
+        """Loops over tets and vertices. Outermost level of a kernel."""
+        s = self.state
+        ti.loop_config(serialize=s.serial, block_dim=self.tet_block)
+        for t in range(s.T):
+            if s.awake_tet(t):
+                self.elasticity.project_tet(t)
+            if t == 0:
+                s.substep_index[None] += 1
+        ti.loop_config(serialize=s.serial, block_dim=self.vertex_block)
+        for i in range(s.V):
+            if s.awake_vertex(i):
+                d = s.dx[i]
+                if s.inv_mass[i] > 0.0:
+                    d += self.elasticity.correction(i)
+                    for c in ti.static(self.on_vertex):
+                        d = c.project_vertex(i, d)
+                if ti.static(len(self.in_pairs) == 0):
+                    commit(self, i, d)
+                else:
+                    s.dx[i] = d
 
-        A single kernel, or with rigid bodies several, because on a CPU that one would take minutes to compile.
-        """
-        s, on_vertex, in_pairs = self.state, self.on_vertex, self.in_pairs
-        tet_block, vertex_block = block_size(s, s.T), block_size(s, s.V)
+    @ti.func
+    def _end(self):
+        """Loop over vertices. Outermost level of a kernel."""
+        s = self.state
+        ti.loop_config(serialize=s.serial, block_dim=self.vertex_block)
+        for i in range(s.V):
+            if s.awake_vertex(i):
+                d = s.dx[i]
+                if s.inv_mass[i] > 0.0:
+                    for c in ti.static(self.in_pairs):
+                        d = c.apply_impulses(i, d)
+                commit(self, i, d)
 
-        @ti.func
-        def correct():
-            ti.loop_config(serialize=s.serial, block_dim=tet_block)
-            for t in range(s.T):
-                if s.awake_tet(t):
-                    self.elasticity.project_tet(t, first, single)
-                if ti.static(first) and t == 0:
-                    s.substep_index[None] += 1
-            ti.loop_config(serialize=s.serial, block_dim=vertex_block)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    d = s.dx[i]
-                    if s.inv_mass[i] > 0.0:
-                        d += self.elasticity.correction(i)
-                        for c in ti.static(on_vertex):
-                            d = c.project_vertex(i, d, first)
-                    if ti.static(single and len(in_pairs) == 0):
-                        commit(self, i, d)
-                    else:
-                        s.dx[i] = d
-
-        @ti.func
-        def apply():
-            ti.loop_config(serialize=s.serial, block_dim=vertex_block)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    d = s.dx[i]
-                    if s.inv_mass[i] > 0.0:
-                        for c in ti.static(in_pairs):
-                            d = c.apply_impulses(i, d)
-                    if ti.static(single):
-                        commit(self, i, d)
-                    else:
-                        s.dx[i] = d
+    def _kernels(self) -> list:
+        """Kernels of a substep: one, or with rigid bodies several, as one would take minutes to compile for a CPU."""
+        s, in_pairs = self.state, self.in_pairs
 
         @ti.kernel
-        def sweep():
-            correct()
+        def substep():
+            self._begin()
             for c in ti.static(in_pairs):
                 for phase in ti.static(range(len(c.phase_sizes))):
                     ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
                     for k in range(c.phase_count(phase) if ti.static(s.serial) else c.phase_sizes[phase]):
-                        if ti.static(first and phase == 0):
+                        if ti.static(phase == 0):
                             c.evaluate(k)
-                        c.solve_phase(self, ti.static(phase > 0), phase, k, first)
+                        c.solve_phase(self, ti.static(phase > 0), phase, k)
             if ti.static(len(in_pairs) > 0):
-                apply()
+                self._end()
 
         @ti.kernel
         def begin():
-            correct()
+            self._begin()
 
         @ti.kernel
         def end():
-            apply()
+            self._end()
 
         if not self.has_rigid:
-            return [sweep]
+            return [substep]
         kernels = [begin]
         for c in in_pairs:
-            kernels += [evaluation_kernel(s, c)] * first + phase_kernels(s, self, c, first=first)[0]
+            kernels += [evaluation_kernel(s, c), *phase_kernels(s, self, c)[0]]
         return [*kernels, end]
-
-    def _commit(self):
-        """Kernel that commits, after the last of several sweeps."""
-        s = self.state
-
-        @ti.kernel
-        def close():
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    commit(self, i, s.dx[i])
-
-        return close
 
 
 @ti.data_oriented
 class PersistentXPBD:
-    """The same substeps on CUDA as one kernel that stays; `run(n)` takes n of them.
+    """The same substeps as one kernel that stays on CUDA; `run(n)` takes n of them.
 
     A substep without contact is one barrier: each block projects the tets of its patches (sim/elastic/patches.py) into
     shared memory, then moves its vertices. Other backends replay loops, and tests compare the two.
     """
 
     max_substeps = 128  # behind one call: damping acts between calls
-    warm_started, iterations = False, 1
+    warm_started, iterations = False, SWEEPS["xpbd"]
 
     def __init__(self, state: State, constraints: list[Constraint], rigid):
         self.state, self.grid = state, PersistentGrid(SHARED_WORDS)
@@ -232,7 +217,7 @@ class PersistentXPBD:
             if s.inv_mass[i] > 0.0:
                 d += s.inv_mass[i] * p.gather(k, shared)
                 for c in ti.static(self.on_vertex):
-                    d = c.project_vertex(i, d, True)
+                    d = c.project_vertex(i, d)
             if ti.static(self.has_rigid) or paired:  # rigid bodies are always a pair of their own
                 s.dx[i] = d
             else:

@@ -216,7 +216,7 @@ class RigidBodies(Constraint):
         return self.inv_mass[b] + angular_inv_mass(arm, n, self.inverse_inertia_world[b])
 
     @ti.func
-    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, b, first: ti.template()):
+    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, b):
         """Add the corrections of all constraints; after the last sweep, move."""
         if self.kind[b] != SOFT and not self.state.asleep[b]:
             if self.sweep_substep[b] != self.state.substep_index[None]:

@@ -66,7 +66,7 @@ class RigidContacts:
         return usable
 
     @ti.func
-    def activate(self, r, usable, first: ti.template(), integrator: ti.template()):
+    def activate(self, r, usable, integrator: ti.template()):
         """As ContactConstraints.activate, for one of a group, of which the first that carries a load counts for all."""
         table = self.constraints
         q = r - self.begin
@@ -95,8 +95,7 @@ class RigidContacts:
                 self.rigid_bodies.count_split(a)
                 if b != WORLD:
                     self.rigid_bodies.count_split(b)
-            if ti.static(first):
-                table.add_impulse(r, table.impulse[r], 0)
+            table.add_impulse(r, table.impulse[r], 0)
         else:
             table.clear_impulse(r)
             if usable:

@@ -84,7 +84,7 @@ def test_the_sums_are_those_of_the_plain_loops():
     ]
     solver = Solver(given, contacts=False, integrator="vbd")
     patches = ColorPatches(solver.state, 3)
-    plain = VBDSubsteps(solver.state, solver.elasticity, [], None, solver._blocks, iterations=2)
+    plain = VBDSubsteps(solver.state, solver.elasticity, [], None, solver._blocks)
     for part in (patches, plain):
         part.load(Model([BodyModel.of(b, []) for b in given]))
     patches_colors = patches.colors
@@ -152,10 +152,10 @@ def test_the_persistent_kernel_agrees_with_the_loops():
     """Rounding differs, and contact makes more of that in time. On the CPU the kernel is one thread."""
 
     def persistent(solver):
-        return PersistentVBD(solver.state, solver.elasticity, [solver.contacts], None, solver._blocks, iterations=2)
+        return PersistentVBD(solver.state, solver.elasticity, [solver.contacts], None, solver._blocks)
 
     def plain(solver):
-        return VBDSubsteps(solver.state, solver.elasticity, [solver.contacts], None, solver._blocks, iterations=2)
+        return VBDSubsteps(solver.state, solver.elasticity, [solver.contacts], None, solver._blocks)
 
     assert_blocks_slide_alike([persistent, plain], 5e6, (4, 2, 2), (1e-5, 1e-4), integrator="vbd")
 
@@ -165,7 +165,7 @@ def test_the_persistent_kernel_agrees_with_the_loops_on_a_rigid_body():
     def form(kind):
         def make(solver):
             pairs, rigid = [solver.contacts, solver.rigid_bodies], solver.rigid_bodies
-            return kind(solver.state, solver.elasticity, pairs, rigid, solver._blocks, iterations=2)
+            return kind(solver.state, solver.elasticity, pairs, rigid, solver._blocks)
 
         return make
 
@@ -178,7 +178,7 @@ def test_blocks_that_wait_for_others_to_end_are_noticed(ti_cpu):
     x, tets, surface = box((0.1, 0.1, 0.1), (2, 2, 2))
     solver = Solver([SoftBody("block", x, tets, surface, Material(5e6, 0.3, 1000.0))], contacts=False)
     parts = solver.state, solver.elasticity, [], None, solver._blocks
-    most, one = (PersistentVBD(*parts, iterations=2, per_multiprocessor=n) for n in (64, 1))
+    most, one = (PersistentVBD(*parts, per_multiprocessor=n) for n in (64, 1))
     assert one.fits() and most.fits() != one.grid.on_cuda
 
 
@@ -188,7 +188,7 @@ def test_several_patches_a_block_move_as_one(ti_cpu):
     body = SoftBody("block", x, tets, surface, Material(5e6, 0.3, 1000.0))
     start = x + 1e-3 * np.random.default_rng(0).normal(size=x.shape)
     solver, moved = Solver([body], contacts=False, integrator="vbd"), []
-    persistent = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks, iterations=2)
+    persistent = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks)
     persistent.load(Model([BodyModel.of(body, [])]))
     assert len(x) > PLACES and (persistent.patches.count[None] > RESIDENT or persistent.grid.on_cuda)
     for form in (persistent, solver.integrator):
@@ -205,7 +205,7 @@ def test_persistent_kernels_load_and_run_without_bodies(ti_cpu):
     """As they do when the last body is removed, and before the first one comes."""
     x, tets, surface = box((0.1, 0.1, 0.1), (1, 1, 1))
     solver = Solver([SoftBody("block", x, tets, surface, Material(1e5, 0.3, 1000.0))], contacts=False)
-    vbd = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks, iterations=2)
+    vbd = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks)
     for form in (vbd, PersistentXPBD(solver.state, [], None)):
         for bodies in ([], [solver.body_models[0]], []):
             model = Model(bodies)

@@ -93,7 +93,7 @@ def test_the_device_stress_and_energy_equal_their_twins(ti_cpu):
 class OneMesh:
     """A small mesh on the device, with the loops of one sweep."""
 
-    def __init__(self, ti, single: bool):
+    def __init__(self, ti):
         from sim.elastic.energy import Elasticity
         from sim.state import State
 
@@ -118,22 +118,22 @@ class OneMesh:
         moved = self.moved
 
         @ti.kernel
-        def sweep(first: ti.template()):
+        def sweep():
             for t in range(s.T):
                 if t < s.tet_count[None]:
-                    e.project_tet(t, first, single)
+                    e.project_tet(t)
             for i in range(s.V):
                 if i < s.vertex_count[None]:
                     moved[i] = e.correction(i)
 
         self.sweep = sweep
 
-    def run(self, y, first: bool = True, moving: bool = True) -> np.ndarray:
+    def run(self, y, moving: bool = True) -> np.ndarray:
         """Corrections (V, 3) of positions y: x and the increments to y if `moving`, or y itself at rest."""
         from core.fields import Upload
 
         Upload([self.state.x, self.state.dx])([self.x, y - self.x] if moving else [y, 0 * y])
-        self.sweep(first)
+        self.sweep()
         return self.moved.to_numpy()[: len(self.x)].astype(np.float64)
 
     def gradients(self, y):
@@ -160,27 +160,27 @@ def strained(mesh: OneMesh) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def single(ti_cpu):
-    return OneMesh(ti_cpu, single=True)
+def mesh(ti_cpu):
+    return OneMesh(ti_cpu)
 
 
-def test_a_single_sweep_of_small_strain_is_the_explicit_step(single):
-    y = strained(single)
-    g, *_ = single.gradients(y)
-    expected = single.gather(np.full(len(g), -(single.dt**2)), g)
-    assert_allclose(single.run(y), expected, atol=2e-5 * np.abs(expected).max())
+def test_a_sweep_of_small_strain_is_the_explicit_step(mesh):
+    y = strained(mesh)
+    g, *_ = mesh.gradients(y)
+    expected = mesh.gather(np.full(len(g), -(mesh.dt**2)), g)
+    assert_allclose(mesh.run(y), expected, atol=2e-5 * np.abs(expected).max())
 
 
-def test_the_stress_is_that_of_the_positions_before_the_motion_that_lags(single):
+def test_the_stress_is_that_of_the_positions_before_the_motion_that_lags(mesh):
     """x + dx - lag v: at lag = dt the motion dt v of the substep itself is not seen, and symplectic Euler remains."""
     from core.fields import Upload
 
-    s, y, lag = single.state, strained(single), 0.7 * single.dt
-    v = np.random.default_rng(6).normal(0, 1e-3 / single.dt, y.shape)
-    expected = single.run(y)
-    Upload([s.x, s.dx, s.v, s.stress_lag])([single.x, y - single.x + lag * v, v, [lag]])
-    single.sweep(True)
-    moved = single.moved.to_numpy()[: len(y)]
+    s, y, lag = mesh.state, strained(mesh), 0.7 * mesh.dt
+    v = np.random.default_rng(6).normal(0, 1e-3 / mesh.dt, y.shape)
+    expected = mesh.run(y)
+    Upload([s.x, s.dx, s.v, s.stress_lag])([mesh.x, y - mesh.x + lag * v, v, [lag]])
+    mesh.sweep()
+    moved = mesh.moved.to_numpy()[: len(y)]
     Upload([s.v, s.stress_lag])([0 * v, [0.0]])
     assert_allclose(moved, expected, atol=2e-5 * np.abs(expected).max())
 
@@ -194,57 +194,42 @@ FAR_FROM_REST = {
 
 
 @pytest.mark.parametrize("scale", FAR_FROM_REST.values(), ids=FAR_FROM_REST)
-def test_a_single_sweep_far_from_rest_is_a_shorter_step_that_lowers_the_energy(single, scale):
+def test_a_sweep_far_from_rest_is_a_shorter_step_that_lowers_the_energy(mesh, scale):
     """Along the gradient of each tet, no longer than the explicit step; motion along the gradient is braked."""
-    y = single.x * scale
-    g, U, *_ = single.gradients(y)
+    y = mesh.x * scale
+    g, U, *_ = mesh.gradients(y)
 
     def steps(moving: bool):
-        moved = single.run(y, moving=moving)
-        slots = single.elastic.slots.to_numpy()[single.elastic.slot.to_numpy()[: len(g)]].astype(np.float64)
+        moved = mesh.run(y, moving=moving)
+        slots = mesh.elastic.slots.to_numpy()[mesh.elastic.slot.to_numpy()[: len(g)]].astype(np.float64)
         s = (slots * g).sum((1, 2)) / (g**2).sum((1, 2))
         assert_allclose(slots, s[:, None, None] * g, atol=2e-5 * np.abs(slots).max())
         return s, moved
 
     s, moved = steps(False)
-    assert (-(single.dt**2) * (1 + 1e-5) <= s).all() and (s < 0).all()
-    assert (s > -0.9 * single.dt**2).any() == (np.ptp(scale) > 10)  # the extremely stretched ones are shortened
-    _, lower, *_ = single.gradients(y + moved)
+    assert (-(mesh.dt**2) * (1 + 1e-5) <= s).all() and (s < 0).all()
+    assert (s > -0.9 * mesh.dt**2).any() == (np.ptp(scale) > 10)  # the extremely stretched ones are shortened
+    _, lower, *_ = mesh.gradients(y + moved)
     assert lower.sum() < U.sum()
     braked, _ = steps(True)
-    along = np.einsum("tkc,tkc->t", g, (y - single.x)[single.tets])
+    along = np.einsum("tkc,tkc->t", g, (y - mesh.x)[mesh.tets])
     assert ((braked - s) * along <= 1e-6 * np.abs(s * along)).all()
 
 
-def test_several_sweeps_carry_the_multiplier(ti_cpu):
-    mesh = OneMesh(ti_cpu, single=False)
-    y, lam, a, size = strained(mesh), 0.0, 1 / mesh.dt**2, 0.0
-    for first in (True, False, False):
-        g, U, W, I1, _ = mesh.gradients(y)
-        C = np.sqrt(2 * U)
-        q = np.minimum(W / (2 * U), mesh.kappa * np.maximum(1, I1**2 / 9))
-        s = -(1 + a * lam / C) / (q + a)
-        lam = lam + C * s
-        expected = mesh.gather(s, g)
-        size = np.abs(expected).max() if first else size  # later sweeps correct less, with the same rounding
-        assert_allclose(mesh.run(y, first), expected, atol=2e-4 * size)
-        y = y + expected
-
-
-def test_corrections_keep_momentum(single):
+def test_corrections_keep_momentum(mesh):
     """sum_i dx_i / w_i = 0, the prescribed vertex's share included: forces of a tet cancel."""
-    single.run(strained(single))
-    e = single.elastic
-    forces = e.slots.to_numpy()[e.slot.to_numpy()[: len(single.tets)]].astype(np.float64)
+    mesh.run(strained(mesh))
+    e = mesh.elastic
+    forces = e.slots.to_numpy()[e.slot.to_numpy()[: len(mesh.tets)]].astype(np.float64)
     assert np.abs(forces.sum((0, 1))).max() < 1e-6 * np.abs(forces).sum()
 
 
-def test_nothing_happens_at_rest_and_in_rigid_motion(single):
+def test_nothing_happens_at_rest_and_in_rigid_motion(mesh):
     c, s = np.cos(2.0), np.sin(2.0)
-    turned = single.x @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T + [0.3, 0.1, 0.2]
-    size = np.abs(single.x).max()
-    for y in (single.x, turned):
-        assert np.abs(single.run(y)).max() < 1e-6 * size
+    turned = mesh.x @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T + [0.3, 0.1, 0.2]
+    size = np.abs(mesh.x).max()
+    for y in (mesh.x, turned):
+        assert np.abs(mesh.run(y)).max() < 1e-6 * size
 
 
 def test_kappa_bounds_the_stiffness_of_every_tet():

@@ -78,7 +78,7 @@ def test_the_sums_are_those_of_the_two_loops():
             patches.publish(i, s.x[i], s.v[i], s.dx[i], 1)
         for t in range(s.T):
             if t < s.tet_count[None]:
-                e.project_tet(t, True, True)
+                e.project_tet(t)
         for i in range(n):
             one[i] = e.correction(i)
         ti.loop_config(serialize=True)
@@ -117,7 +117,7 @@ def test_the_persistent_kernel_agrees_with_the_loops():
         return PersistentXPBD(solver.state, [solver.contacts], None)
 
     def plain(solver):
-        return XPBDSubsteps(solver.state, solver.elasticity, [solver.contacts], None, iterations=1)
+        return XPBDSubsteps(solver.state, solver.elasticity, [solver.contacts], None)
 
     assert_blocks_slide_alike([persistent, plain], 5e4, (6, 3, 3), (2e-6, 5e-5), substep=1e-4)
 
@@ -130,6 +130,6 @@ def test_the_persistent_kernel_agrees_with_the_loops_on_a_rigid_body():
 
     def plain(solver):
         pairs = [solver.contacts, solver.rigid_bodies]
-        return XPBDSubsteps(solver.state, solver.elasticity, pairs, solver.rigid_bodies, iterations=1)
+        return XPBDSubsteps(solver.state, solver.elasticity, pairs, solver.rigid_bodies)
 
     assert_blocks_slide_alike([persistent, plain], 5e4, (6, 3, 3), (5e-6, 3e-4), rigid=True, substep=1e-4)

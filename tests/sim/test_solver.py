@@ -61,7 +61,6 @@ def test_what_cannot_be_simulated_is_refused_by_name(change, says):
 
 def test_bad_options_are_refused():
     for options in (
-        {"iterations": 0},
         {"collision_passes": 0},
         {"interaction": "magic"},
         {"integrator": "magic"},
@@ -195,17 +194,14 @@ def test_the_energy_of_an_undamped_body_stays_bounded_where_its_sweeps_do_not_co
         assert vibration_energy(solver)[0] < 1.01 * first
 
 
-def test_several_iterations_give_the_same_rest_shape():
+def test_pinned_vertices_stay_where_they_are():
     left = np.flatnonzero(PLATE.vertices[:, 0] < -0.099)
-    sag = []
-    for iterations in (1, 3):
-        body = replace(PLATE, pinned=left, material=replace(RUBBER, damping=40.0, young=2e5))
-        solver = Solver([body], iterations=iterations, contacts=False)
-        for _ in range(20):
-            solver.step(1 / 20)
-        sag.append(PLATE.vertices[:, 1].min() - solver.bodies()[0].low[1])
-        assert_allclose(solver.snapshot()["x"][left], PLATE.vertices[left], atol=1e-7)
-    assert sag[0] > 0.01 and sag[1] == pytest.approx(sag[0], rel=0.01)
+    body = replace(PLATE, pinned=left, material=replace(RUBBER, damping=40.0, young=2e5))
+    solver = Solver([body], contacts=False)
+    for _ in range(20):
+        solver.step(1 / 20)
+    assert PLATE.vertices[:, 1].min() - solver.bodies()[0].low[1] > 0.01
+    assert_allclose(solver.snapshot()["x"][left], PLATE.vertices[left], atol=1e-7)
 
 
 def test_pick_finds_the_nearest_surface(solver):

@@ -1,51 +1,73 @@
 """The player's avatar: hands or controllers, the finger that pokes, the ray that points, corners of the selected body.
 
-Everything is drawn at the pose that the solver used, not at a later one: a hand must not slip on what it holds.
+Everything is drawn at the pose that the solver used, not at a later one: a hand must not slip on what it holds. Hands,
+controllers and finger are modelled by studio/avatar_model.py; the skin of a hand is bound to its 26 joints.
 """
 
 from __future__ import annotations
 
+from functools import cache
+from pathlib import Path
+
 import numpy as np
 
+from assets.gaussians import Gaussians
 from core.vocabulary import BodyState
 from display.edit import selection_marker
-from display.xr import hand_mesh
-from display.xr.actions import FINGER_LENGTH, FINGER_RADIUS, Controller
-from display.xr.hand_joints import JOINT_COUNT, rotation_about
-from display.xr.hand_mesh import SPACING, discs
+from display.xr.actions import FINGER_LENGTH, Controller
+from display.xr.hand_joints import BONE_ENDS, FINGERS, JOINT_COUNT, PALM, WRIST, HandJoints, posed
 from display.xr.poses import pose_matrix
 from render.skinned_props import Skin
 
+MODELS = Path(__file__).with_name("avatar.npz")
 # Indices of the parts: the joints of both hands, then each side's (left, right) controller.
 CONTROLLER, FINGER, FINGERTIP = 2 * JOINT_COUNT, 2 * JOINT_COUNT + 2, 2 * JOINT_COUNT + 4
 RAY, TARGET = 2 * JOINT_COUNT + 6, 2 * JOINT_COUNT + 7
 CORNERS = TARGET + 1
 PART_COUNT = CORNERS + 8
-HANDLE_RADIUS, RING_RADIUS, TUBE_RADIUS = 0.013, 0.040, 0.0045  # [m] of a controller, its ring and the ring's tube
-RING_TILT = -0.75  # [rad] towards the player
-HANDLE_COLOUR, RING_COLOUR = np.array([0.22, 0.23, 0.25]), np.array([0.36, 0.37, 0.40])
-FINGER_COLOUR, RAY_COLOUR = np.array([0.86, 0.80, 0.72]), np.array([1.0, 0.83, 0.45])
+SPACING = 0.0034  # [m] between Gaussians
+SIGMA, THICKNESS = 0.8 * SPACING, 0.0005  # [m] standard deviations: no gap shows the far side
+OPAQUE = 0.99
+BIND_BENDS = (0.0, 0.02, 0.02, 0.02, 0.02)  # of the model hand's fingers: apart
+METACARPALS = [f[0] for f in FINGERS[1:]]
+MAX_SCALE, MIN_SCALE = 1.6, 0.6  # of a bone's length and thickness, against the model
+RAY_COLOUR = np.array([1.0, 0.83, 0.45])
 TARGET_RADIUS, RAY_RADIUS = 0.11, 0.0016  # [m]
 TARGET_HEIGHT = 0.03  # [m] over the floor, on which a carpet may lie
 RAY_GAUSSIANS = 40
 STROKE_GAUSSIANS, STROKE_RADIUS = 8, 0.04  # of a corner; the radius relative to the stroke's length
-FINE_SPACING = 0.6 * SPACING  # [m] between Gaussians of thin parts
 
 
 def skins() -> list[Skin]:
     """Skins of all props; those without a shadow first, as World requires."""
-    solid = hand_mesh.hand_skins()
+    made = [ray_skin(), target_skin(), *(corner_skin(CORNERS + k) for k in range(8))]
+    with np.load(MODELS) as file:
+        models = {name: file[name].astype(np.float64) for name in file.files}
+    weight = models["hand_weight"] / models["hand_weight"].sum(1, keepdims=True)
+    for side, mirror in enumerate(((-1, 1, 1), (1, 1, 1))):
+        x, n = models["hand_x"] * mirror, models["hand_n"] * mirror
+        part = models["hand_part"].astype(int) + JOINT_COUNT * side
+        made.append(Skin(discs(x, n, SIGMA, THICKNESS, models["hand_colour"], OPAQUE), n, part, weight))
     for side in (0, 1):
-        solid.append(rigid_skin(*controller_points(), CONTROLLER + side))
-        finger = coloured([(*tube(FINGER_LENGTH, lambda _: FINGER_RADIUS), FINGER_COLOUR)])
-        solid.append(rigid_skin(*finger, FINGER + side))
-        solid.append(rigid_skin(*coloured([(*dome(FINGER_RADIUS), FINGER_COLOUR)]), FINGERTIP + side))
-    return [ray_skin(), target_skin(), *(corner_skin(CORNERS + k) for k in range(8)), *solid]
+        for name, first in (("controller", CONTROLLER), ("finger", FINGER), ("fingertip", FINGERTIP)):
+            x, n, colour = (models[f"{name}_{what}"] for what in ("x", "n", "colour"))
+            made.append(one_part(discs(x, n, SIGMA, THICKNESS, colour, OPAQUE), n, first + side, solid=True))
+    return made
 
 
-def rigid_skin(x, n, colour, part: int) -> Skin:
-    """Rigid, solid skin of flat Gaussians at points x (N, 3) with normals n (N, 3)."""
-    return one_part(discs(x, n, 0.8 * SPACING, 0.0005, colour, np.full(len(x), 0.99)), n, part, solid=True)
+def discs(x, n, width: float, thickness: float, colour, opacity) -> Gaussians:
+    """Flat Gaussians at x (N, 3), with normals n (N, 3); standard deviations [m]."""
+    scales = np.tile(np.log([width, width, thickness]), (len(x), 1))
+    opacity = np.broadcast_to(opacity, len(x))
+    logit = np.log(opacity / np.maximum(1.0 - opacity, 1e-6))
+    return Gaussians.of(x, rotations_to(n), scales, logit, ((colour - 0.5) / 0.28209479)[:, None, :])
+
+
+def rotations_to(n: np.ndarray) -> np.ndarray:
+    """Quaternions wxyz (N, 4) of the shortest rotations from z to the unit vectors n (N, 3)."""
+    q = np.column_stack([1.0 + n[:, 2], -n[:, 1], n[:, 0], np.zeros(len(n))])
+    q[q[:, 0] < 1e-9] = 0.0, 1.0, 0.0, 0.0
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
 def one_part(gaussians, n, part: int, *, solid: bool) -> Skin:
@@ -53,47 +75,6 @@ def one_part(gaussians, n, part: int, *, solid: bool) -> Skin:
     parts, weight = np.full((len(n), 4), part), np.zeros((len(n), 4))
     weight[:, 0] = 1.0
     return Skin(gaussians, n, parts, weight, solid)
-
-
-def tube(length: float, radius) -> tuple[np.ndarray, np.ndarray]:
-    """Points and normals (N, 3) of a tube from the origin along -z; radius(t) [m] at t = 0..1 of its length."""
-    around = max(int(2 * np.pi * radius(0.5) / FINE_SPACING), 6)
-    z = np.linspace(0.0, 1.0, max(int(length / FINE_SPACING), 2))
-    t, a = np.meshgrid(z, 2 * np.pi * np.arange(around) / around, indexing="ij")
-    r = np.vectorize(radius)(t)
-    n = np.stack([np.cos(a), np.sin(a), 0 * a], -1).reshape(-1, 3)
-    return r.reshape(-1, 1) * n + [0, 0, -length] * t.reshape(-1, 1), n
-
-
-def dome(radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points and normals (N, 3) of the half of a sphere on the side of -z (a Fibonacci lattice)."""
-    count = max(int(2 * np.pi * radius**2 / (0.8 * FINE_SPACING**2)), 12)
-    k = np.arange(count) + 0.5
-    z, a = k / count, np.pi * (1 + 5**0.5) * k
-    s = np.sqrt(1 - z**2)
-    n = np.column_stack([s * np.cos(a), s * np.sin(a), -z])
-    return radius * n, n
-
-
-def controller_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, normals and colours (N, 3) of a handle with a ring around its head, in the frame of the grip pose."""
-    x, n = tube(0.095, lambda t: HANDLE_RADIUS * (1.0 + 0.28 * (2 * t - 1) ** 2))
-    end, flip = dome(HANDLE_RADIUS * 1.28), np.array([1.0, 1.0, -1.0])
-    patches = [(x + [0, 0, 0.052], n, HANDLE_COLOUR), (end[0] + [0, 0, -0.043], end[1], HANDLE_COLOUR)]
-    patches.append((end[0] * flip + [0, 0, 0.052], end[1] * flip, HANDLE_COLOUR))
-    angles = (np.arange(0, 2 * np.pi, FINE_SPACING / radius) for radius in (RING_RADIUS, TUBE_RADIUS))
-    a, b = np.meshgrid(*angles, indexing="ij")
-    n = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1).reshape(-1, 3)
-    ring = TUBE_RADIUS * n + RING_RADIUS * np.stack([np.cos(a), np.sin(a), 0 * a], -1).reshape(-1, 3)
-    tilt = rotation_about((1.0, 0.0, 0.0), RING_TILT)
-    patches.append((ring @ tilt.T + [0, 0.012, -0.055], n @ tilt.T, RING_COLOUR))
-    return coloured(patches)
-
-
-def coloured(patches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, normals and colours (N, 3) of patches (points, normals, colour)."""
-    x, n = (np.concatenate([p[k] for p in patches]) for k in (0, 1))
-    return x, n, np.concatenate([np.tile(p[2], (len(p[0]), 1)) for p in patches])
 
 
 def ray_skin() -> Skin:
@@ -134,7 +115,7 @@ def show_hand(poses: np.ndarray, h: int, c: Controller, world_from_play: np.ndar
     """Out: the poses of side h: a bare hand, or a controller whose finger is stretched by `extension`, 0 to 1."""
     if c.joints is not None:
         joints = c.joints.transformed(world_from_play)
-        poses[JOINT_COUNT * h : JOINT_COUNT * (h + 1)] = hand_mesh.skinning_transforms(joints, left=h == 0)
+        poses[JOINT_COUNT * h : JOINT_COUNT * (h + 1)] = skinning_transforms(joints, left=h == 0)
     elif c.grip is not None:
         grip = world_from_play @ c.grip
         poses[CONTROLLER + h] = grip[:3]
@@ -161,3 +142,28 @@ def show_corners(poses: np.ndarray, body: BodyState) -> None:
     sides = np.minimum(length, 0.5 * (at[-1] - at[0]))
     for k, signs in enumerate(selection_marker.SIGNS):
         poses[CORNERS + k] = np.column_stack([np.diag(-signs * sides), at[k]])
+
+
+def skinning_transforms(joints: HandJoints | None, *, left: bool) -> np.ndarray:
+    """Transform (26, 3, 4) of the skin by each joint, from the bind pose to `joints`; NaN, hidden, if None.
+
+    A bone of another length or thickness than the model's stretches its skin.
+    """
+    if joints is None:
+        return np.full((JOINT_COUNT, 3, 4), np.nan)
+    bind, thickness, length = bind_pose(left)
+    a, b = BONE_ENDS
+    scale = np.ones((JOINT_COUNT, 3))
+    scale[a, :2] = ((joints.radius[a] + joints.radius[b]) / thickness)[:, None]
+    scale[a, 2] = np.linalg.norm(joints.position[b] - joints.position[a], axis=1) / length
+    scale = np.clip(scale, MIN_SCALE, MAX_SCALE)
+    scale[[PALM, WRIST]] = scale[METACARPALS, 2].mean()
+    A = joints.rotation @ (scale[:, :, None] * np.swapaxes(bind.rotation, 1, 2))
+    return np.concatenate([A, (joints.position - np.einsum("jrc,jc->jr", A, bind.position))[..., None]], axis=2)
+
+
+@cache
+def bind_pose(left: bool) -> tuple[HandJoints, np.ndarray, np.ndarray]:
+    """Joints of the bind pose, and of each of its bones the sum of the radii at its ends and its length [m], (19,)."""
+    bind, (a, b) = posed(BIND_BENDS, left=left), BONE_ENDS
+    return bind, bind.radius[a] + bind.radius[b], np.linalg.norm(bind.position[b] - bind.position[a], axis=1)

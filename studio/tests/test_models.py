@@ -10,9 +10,11 @@ from numpy.testing import assert_allclose
 from assets.asset import Asset
 from core.material import Material
 from core.rotation import matrices_from_quaternions
+from display.xr.avatar import MODELS as MODELS_OF_AVATAR
 from prepare.cage.mesh_quality import dihedral_angles
 from studio import solids
 from studio.__main__ import main
+from studio.avatar_model import avatar_models
 from studio.catalogue import MODELS
 from studio.detail import Detail
 from studio.dining_room.bottle import BOTTLE_AT, BOTTLE_HEIGHT
@@ -271,3 +273,14 @@ def test_every_model_of_the_catalogue_is_there():
 def test_an_option_that_would_be_ignored_is_refused(words, why, capsys):
     assert main(words.split()) == 2
     assert why in capsys.readouterr().err
+
+
+def test_the_shipped_avatar_is_what_its_model_gives():
+    """Up to the last bits of another machine's exp and log, by which a point may be chosen or not."""
+    with np.load(MODELS_OF_AVATAR) as shipped:
+        made = avatar_models()
+        assert set(shipped.files) == set(made)
+        for name, array in made.items():
+            assert array.dtype == shipped[name].dtype
+            assert len(array) == pytest.approx(len(shipped[name]), rel=0.02)
+            assert_allclose(array.mean(0), shipped[name].mean(0), atol=0.02)

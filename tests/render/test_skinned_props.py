@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from assets.gaussians import concatenate
 from core.spherical_harmonics import C0
 from core.vocabulary import Light
-from display.xr import avatar, hand_mesh
+from display.xr import avatar
 from display.xr.actions import Controller
 from display.xr.hand_joints import FINGERS, JOINT_COUNT, WRIST, posed, rotation_about
 from display.xr.poses import pose_matrix
@@ -79,14 +79,14 @@ def test_gaussians_follow_their_parts_as_the_formula_says(drawn, all_skins):
 
 def test_the_hands_bound_pose_is_the_model_itself(all_skins):
     for left in (True, False):
-        poses = hand_mesh.skinning_transforms(posed(hand_mesh.BIND_BENDS, left=left), left=left)
+        poses = avatar.skinning_transforms(posed(avatar.BIND_BENDS, left=left), left=left)
         used = [j for f in FINGERS for j in f[:-1]] + [WRIST]
         assert_allclose(poses[used], np.tile(np.eye(3, 4), (len(used), 1, 1)), atol=1e-9)
 
 
 def test_a_turned_hand_is_turned_as_a_whole():
     at = pose_matrix(np.array([0.3, 1.0, -0.2]), rotation_about((1, 2, 3), 1.1))
-    poses = hand_mesh.skinning_transforms(posed(hand_mesh.BIND_BENDS, world_from_wrist=at), left=False)
+    poses = avatar.skinning_transforms(posed(avatar.BIND_BENDS, world_from_wrist=at), left=False)
     used = [j for f in FINGERS for j in f[:-1]] + [WRIST]
     assert_allclose(poses[used], np.tile(at[:3], (len(used), 1, 1)), atol=1e-9)
 
@@ -95,7 +95,7 @@ def test_the_skin_lies_around_the_bones(all_skins):
     """Within the thickness of flesh, closed (a point inside sees skin in all directions), left as right."""
     left, right = (s for s in all_skins if s.part.max() < 2 * JOINT_COUNT and s.solid)
     assert_allclose(left.gaussians.means * [-1, 1, 1], right.gaussians.means, atol=1e-7)
-    joints, x, n = posed(hand_mesh.BIND_BENDS), right.gaussians.means, right.normal
+    joints, x, n = posed(avatar.BIND_BENDS), right.gaussians.means, right.normal
     assert 2000 < len(x) < 5000
     away = np.min([segment(x, joints.position[j], joints.position[j + 1]) for f in FINGERS for j in f[:-1]], axis=0)
     hand = x[:, 2] < 0.0

@@ -1,63 +1,97 @@
-"""A drawn hand: a skin of flat Gaussians over the bones of the model hand, bound to its 26 joints.
+"""The player's hands, controllers and poking finger as points with normals and colours: display/xr/avatar.npz.
 
-The skin is the zero set of a distance to bones of varying thickness, which blend into one another within a finger and
-into the palm, but not from finger to finger: phi = min over fingers of smin(palm, smin(phalanges)), with the smooth
-minimum smin(d) = -k log sum exp(-d / k).
+    python -m studio.avatar_model
+
+The skin of a hand is the zero set of a distance to bones of varying thickness, which blend into one another within a
+finger and into the palm, but not from finger to finger: phi = min over fingers of smin(palm, smin(phalanges)), with the
+smooth minimum smin(d) = -k log sum exp(-d / k). Its points are bound to the 26 joints of the model hand.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from assets.gaussians import Gaussians
-from display.xr.hand_joints import BONE_ENDS, FINGERS, JOINT_COUNT, PALM, WRIST, HandJoints, posed
-from render.skinned_props import Skin
+from display.xr.actions import FINGER_LENGTH, FINGER_RADIUS
+from display.xr.avatar import BIND_BENDS, MODELS, SPACING
+from display.xr.hand_joints import FINGERS, JOINT_COUNT, WRIST, HandJoints, posed, rotation_about
 
-SPACING = 0.0034  # [m] between Gaussians
-SIGMA = 0.8  # spacings: standard deviation of a Gaussian, so that no gap shows the far side
 SEEDS_PER_POINT = 6  # points to choose from, for each that is taken
 SMOOTHING = 0.0035  # [m]: k
-THICKNESS = 0.0005  # [m], standard deviation of a Gaussian along its normal
 WEIGHT_FALLOFF = 0.0035  # [m] over which the weight of a bone fades into the next one's
 SKIN_COLOUR = np.array([0.87, 0.73, 0.63])  # a generic light, warm tone
 NAIL_COLOUR, CREASE_DARKENING = np.array([0.96, 0.84, 0.77]), 0.10
 FOREARM_LENGTH = 0.045  # [m]
-BIND_BENDS = (0.0, 0.02, 0.02, 0.02, 0.02)  # of the bind pose: fingers apart
-BONE_STARTS, BONE_TIPS = BONE_ENDS
-METACARPALS = [f[0] for f in FINGERS[1:]]
-MAX_SCALE, MIN_SCALE = 1.6, 0.6  # of a bone's length and thickness, against the model
+HANDLE_RADIUS, RING_RADIUS, TUBE_RADIUS = 0.013, 0.040, 0.0045  # [m] of a controller, its ring and the ring's tube
+RING_TILT = -0.75  # [rad] towards the player
+HANDLE_COLOUR, RING_COLOUR = np.array([0.22, 0.23, 0.25]), np.array([0.36, 0.37, 0.40])
+FINGER_COLOUR = np.array([0.86, 0.80, 0.72])
+FINE_SPACING = 0.6 * SPACING  # [m] between Gaussians of thin parts
 
 
-def hand_skins() -> list[Skin]:
-    """Gaussians of a left and a right hand, bound to parts 0..25 and 26..51."""
+def write_models() -> None:
+    """Write display/xr/avatar.npz."""
+    np.savez_compressed(MODELS, **avatar_models())
+
+
+def avatar_models() -> dict[str, np.ndarray]:
+    """Points `x` [m], normals `n` and `colour` (N, 3) of each model; of the hand `part` and `weight` (N, 4), too."""
     joints = posed(BIND_BENDS)
     x, n, finger = surface_points(joints)
     part, weight = joint_weights(joints, x, finger)
-    colour = paint(joints, x, n)
-    opacity = np.full(len(x), 0.99)
-    result = []
-    for side, mirror in enumerate(((-1, 1, 1), (1, 1, 1))):
-        g = discs(x * mirror, n * mirror, SIGMA * SPACING, THICKNESS, colour, opacity)
-        result.append(Skin(g, n * mirror, part + JOINT_COUNT * side, weight))
-    return result
+    finger_tube = tube(FINGER_LENGTH, lambda _: FINGER_RADIUS)
+    models = {
+        "hand": (x, n, paint(joints, x, n)),
+        "controller": controller_points(),
+        "finger": coloured([(*finger_tube, FINGER_COLOUR)]),
+        "fingertip": coloured([(*dome(FINGER_RADIUS), FINGER_COLOUR)]),
+    }
+    arrays = {f"{name}_{k}": a for name, of in models.items() for k, a in zip(("x", "n", "colour"), of, strict=True)}
+    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
+    return {"hand_part": part.astype(np.uint8), "hand_weight": weight.astype(np.float32), **arrays}
 
 
-def discs(x, n, width: float, thickness: float, colour, opacity) -> Gaussians:
-    """Flat Gaussians at x (N, 3), with normals n (N, 3); standard deviations [m]."""
-    scales = np.tile(np.log([width, width, thickness]), (len(x), 1))
-    logit = np.log(opacity / np.maximum(1.0 - opacity, 1e-6))
-    return Gaussians.of(x, rotations_to(n), scales, logit, ((colour - 0.5) / 0.28209479)[:, None, :])
+def tube(length: float, radius) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals (N, 3) of a tube from the origin along -z; radius(t) [m] at t = 0..1 of its length."""
+    around = max(int(2 * np.pi * radius(0.5) / FINE_SPACING), 6)
+    z = np.linspace(0.0, 1.0, max(int(length / FINE_SPACING), 2))
+    t, a = np.meshgrid(z, 2 * np.pi * np.arange(around) / around, indexing="ij")
+    r = np.vectorize(radius)(t)
+    n = np.stack([np.cos(a), np.sin(a), 0 * a], -1).reshape(-1, 3)
+    return r.reshape(-1, 1) * n + [0, 0, -length] * t.reshape(-1, 1), n
 
 
-def rotations_to(n: np.ndarray) -> np.ndarray:
-    """Quaternions wxyz (N, 4) of the shortest rotations from z to the unit vectors n (N, 3)."""
-    q = np.column_stack([1.0 + n[:, 2], -n[:, 1], n[:, 0], np.zeros(len(n))])
-    q[q[:, 0] < 1e-9] = 0.0, 1.0, 0.0, 0.0
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
+def dome(radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals (N, 3) of the half of a sphere on the side of -z (a Fibonacci lattice)."""
+    count = max(int(2 * np.pi * radius**2 / (0.8 * FINE_SPACING**2)), 12)
+    k = np.arange(count) + 0.5
+    z, a = k / count, np.pi * (1 + 5**0.5) * k
+    s = np.sqrt(1 - z**2)
+    n = np.column_stack([s * np.cos(a), s * np.sin(a), -z])
+    return radius * n, n
+
+
+def controller_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, normals and colours (N, 3) of a handle with a ring around its head, in the frame of the grip pose."""
+    x, n = tube(0.095, lambda t: HANDLE_RADIUS * (1.0 + 0.28 * (2 * t - 1) ** 2))
+    end, flip = dome(HANDLE_RADIUS * 1.28), np.array([1.0, 1.0, -1.0])
+    patches = [(x + [0, 0, 0.052], n, HANDLE_COLOUR), (end[0] + [0, 0, -0.043], end[1], HANDLE_COLOUR)]
+    patches.append((end[0] * flip + [0, 0, 0.052], end[1] * flip, HANDLE_COLOUR))
+    angles = (np.arange(0, 2 * np.pi, FINE_SPACING / radius) for radius in (RING_RADIUS, TUBE_RADIUS))
+    a, b = np.meshgrid(*angles, indexing="ij")
+    n = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1).reshape(-1, 3)
+    ring = TUBE_RADIUS * n + RING_RADIUS * np.stack([np.cos(a), np.sin(a), 0 * a], -1).reshape(-1, 3)
+    tilt = rotation_about((1.0, 0.0, 0.0), RING_TILT)
+    patches.append((ring @ tilt.T + [0, 0.012, -0.055], n @ tilt.T, RING_COLOUR))
+    return coloured(patches)
+
+
+def coloured(patches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, normals and colours (N, 3) of patches (points, normals, colour)."""
+    x, n = (np.concatenate([p[k] for p in patches]) for k in (0, 1))
+    return x, n, np.concatenate([np.tile(p[2], (len(p[0]), 1)) for p in patches])
 
 
 def limb_groups(joints: HandJoints) -> list[list[tuple]]:
@@ -182,27 +216,5 @@ def paint(joints: HandJoints, x, n) -> np.ndarray:
     return colour.clip(0.02, 0.98)
 
 
-def skinning_transforms(joints: HandJoints | None, *, left: bool) -> np.ndarray:
-    """Transform (26, 3, 4) of the skin by each joint, from the bind pose to `joints`; NaN, hidden, if None.
-
-    A bone of another length or thickness than the model's stretches its skin.
-    """
-    if joints is None:
-        return np.full((JOINT_COUNT, 3, 4), np.nan)
-    bind, thickness, length = bind_pose(left)
-    a, b = BONE_STARTS, BONE_TIPS
-    scale = np.ones((JOINT_COUNT, 3))
-    scale[a, :2] = ((joints.radius[a] + joints.radius[b]) / thickness)[:, None]
-    scale[a, 2] = np.linalg.norm(joints.position[b] - joints.position[a], axis=1) / length
-    scale = np.clip(scale, MIN_SCALE, MAX_SCALE)
-    scale[[PALM, WRIST]] = scale[METACARPALS, 2].mean()
-    A = joints.rotation @ (scale[:, :, None] * np.swapaxes(bind.rotation, 1, 2))
-    return np.concatenate([A, (joints.position - np.einsum("jrc,jc->jr", A, bind.position))[..., None]], axis=2)
-
-
-@cache
-def bind_pose(left: bool) -> tuple[HandJoints, np.ndarray, np.ndarray]:
-    """Joints of the bind pose, and of each of its bones the sum of the radii at its ends and its length [m], (19,)."""
-    bind = posed(BIND_BENDS, left=left)
-    length = np.linalg.norm(bind.position[BONE_TIPS] - bind.position[BONE_STARTS], axis=1)
-    return bind, bind.radius[BONE_STARTS] + bind.radius[BONE_TIPS], length
+if __name__ == "__main__":
+    write_models()

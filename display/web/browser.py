@@ -15,15 +15,14 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.panel import Panel, commands_of
 from display.picture import fit, pixels_of
-from display.preferences import Preferences, read_bookmarks
+from display.preferences import Preferences
 from display.protocol import Frame, WorldView
-from display.user_commands import Command, Pause, SingleStep, last_of
+from display.user_commands import Command
 from display.web.page_messages import WINDOW_ONLY, first_words, overlay, scene_request, world_state
 from display.web.page_server import LOOPBACK, STILL_QUALITY, PageServer
 from display.window.controls import Controls, Hover
 from display.window.gl_window import PLACES, chord_name
 from display.window.key_bindings import BY_CHORD
-from display.window.mouse import MouseHand, OrbitCamera
 from scenes.scene import Scene
 
 PERIOD = 1 / 60  # [s] of a frame at least
@@ -59,11 +58,9 @@ class Browser:
         preferences: Preferences | None = None,
         name: str = "",
     ):
-        self._preferences, self._name = preferences or Preferences(), name
         self._largest = size
         self._server = PageServer(host or LOOPBACK, port, first_words(title, name, scene), encode)
-        self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
-        self._controls.bookmarks = self._bookmarks_of(name)
+        self._controls = Controls(scene, preferences, name)
         self._resolution, self._panel = WindowResolution(), Panel()
         self._camera = self._controls.orbit.camera(*self._full)  # of the picture in full size
         self._last_view: bytes | None = None  # the camera's pose in the last frame
@@ -138,13 +135,7 @@ class Browser:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         self._server.tell({"loading": f"Loading {title}"})
         self._server.greet(first_words(title, name, scene))
-        self._controls.let_go()
-        self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
-        self._name, self._controls.bookmarks = name, self._bookmarks_of(name)
-
-    def _bookmarks_of(self, name: str) -> dict:
-        """The views that are kept of a scene."""
-        return read_bookmarks(self._preferences.get(f"bookmarks.{name}", {}))
+        self._controls.show_scene(scene, name)
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the program is to end; slower where that cannot be kept up (display/clock.py).
@@ -167,10 +158,7 @@ class Browser:
             dt = min(seconds, catch_up_limit(cost))
             self._dropped += 0.0 if cost is None else seconds - dt
             commands = self._handle(self._server.take(), world)
-            pause = last_of(Pause, commands)
-            paused = world.paused if pause is None else pause.on
-            running = not paused or last_of(SingleStep, commands) is not None
-            hands = self._controls.advance(self._camera, dt, running=running, pace=world.time_scale)
+            hands = self._controls.hands(self._camera, dt, commands, world)
             self._time += dt
             moving = self._camera_moved() or world.moving
             self._busy = moving or bool(commands or hands)
@@ -270,7 +258,6 @@ class Browser:
             elif kind == "open":
                 commands += filter(None, [scene_request(*what)])
         controls.note(commands)
-        self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)
         commands += controls.place_light(world, *self._cursor, self._camera)
         controls.follow(world)
         return controls.completed(commands, self._full)

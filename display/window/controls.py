@@ -12,10 +12,12 @@ from core.camera import Camera
 from core.vocabulary import BodyState, Hand
 from display import user_commands
 from display.edit.edit_steps import ROOM_STEP, rotation_step
+from display.preferences import Preferences, read_bookmarks
 from display.protocol import WorldView
-from display.user_commands import Command, PictureCommand, SaveState
+from display.user_commands import Command, Pause, PictureCommand, SaveState, SingleStep, last_of
 from display.window.key_bindings import bound
 from display.window.mouse import MIN_DEPTH, MouseHand, OrbitCamera
+from scenes.scene import Scene
 
 ORBIT_PER_HEIGHT = np.pi  # [rad] of turning for a drag over the picture's height
 LOOK_GAIN = 1.5  # head turn against the angle that the cursor passes over
@@ -56,11 +58,12 @@ class Controls:
     """State of mouse and keys: one drag at a time, keys held. Positions in picture pixels.
 
     `drag` is "grab", "turn", "look", "pan" or None, `panel` whether the panel is on view, `help` whether the list of
-    keys is, `gizmo` which one is (GIZMOS), `quit` whether to end.
+    keys is, `gizmo` which one is (GIZMOS), `quit` whether to end. `orbit` is the camera of the scene, of which the
+    preferences keep bookmarks under its `name`.
     """
 
-    def __init__(self, orbit: OrbitCamera, hand: MouseHand):
-        self.orbit, self.hand = orbit, hand
+    def __init__(self, scene: Scene, preferences: Preferences | None = None, name: str = ""):
+        self._preferences, self.hand = preferences or Preferences(), MouseHand()
         self.drag: str | None = None
         self.panel = True
         self.help = False
@@ -70,12 +73,19 @@ class Controls:
         self.measured: list[np.ndarray] | None = None  # points (3,) whose distance sets the size; None: none are asked
         self.quit = False
         self._followed: tuple | None = None  # the last view that the world wanted
-        self.bookmarks: dict[str, list[list[float]]] = {}  # eye and target [m] by digit
         self._button: str | None = None
         self._lowest: float | None = None  # [m] to which a drag takes the eye down
         self._walking: set[str] = set()
         self._shift = False
         self._light_cursor: tuple | None = None  # where the light was put last, while its key is down
+        self.show_scene(scene, name)
+
+    def show_scene(self, scene: Scene, name: str) -> None:
+        """Look at this scene from where it begins, with nothing held."""
+        self.let_go()
+        self.orbit, self.measured = OrbitCamera(scene.eye, scene.target, scene.fov_y), None
+        self._bookmarks_key = f"bookmarks.{name}"
+        self._bookmarks = read_bookmarks(self._preferences.get(self._bookmarks_key, {}))  # eye and target [m] by digit
 
     def press(self, button: str, u: float, v: float, camera: Camera, world: WorldView) -> None:
         """Take a mouse button that goes down over the picture."""
@@ -277,15 +287,16 @@ class Controls:
     def go_to_bookmark(self, press: Press) -> None:
         """Show the view that is kept under a digit."""
         digit = press.name[-1]
-        if digit in self.bookmarks:
-            self.orbit.eye, self.orbit.target = (np.array(point, np.float64) for point in self.bookmarks[digit])
+        if digit in self._bookmarks:
+            self.orbit.eye, self.orbit.target = (np.array(point, np.float64) for point in self._bookmarks[digit])
         else:
             press.world.tell(f"No view is kept under {digit}: Ctrl+{digit} keeps this one.")
 
     def keep_bookmark(self, press: Press) -> None:
         """Keep the view under a digit."""
         digit = press.name[-1]
-        self.bookmarks = self.bookmarks | {digit: [self.orbit.eye.tolist(), self.orbit.target.tolist()]}
+        self._bookmarks = self._bookmarks | {digit: [self.orbit.eye.tolist(), self.orbit.target.tolist()]}
+        self._preferences.set(self._bookmarks_key, self._bookmarks)
         press.world.tell(f"This view is kept under {digit}.")
 
     def tilt_away(self, press: Press) -> list[Command]:
@@ -329,6 +340,12 @@ class Controls:
             speed = max(MIN_WALK_SPEED, WALK_RATE * self.orbit.distance) * (RUN_FACTOR if self._shift else 1.0)
             self.orbit.move(right * speed * dt, up * speed * dt, forward * speed * dt)
         return self.hand.hands(camera, dt if running else 0.0, pace)
+
+    def hands(self, camera: Camera, dt: float, commands: Iterable[Command], world: WorldView) -> list[Hand]:
+        """The hand of a frame with these commands, after `dt` [s]: of a world that is paused by then, it waits."""
+        pause, step = last_of(Pause, commands), last_of(SingleStep, commands)
+        paused = world.paused if pause is None else pause.on
+        return self.advance(camera, dt, running=not paused or step is not None, pace=world.time_scale)
 
 
 class Hover:

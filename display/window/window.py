@@ -15,15 +15,14 @@ from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.panel import GIZMO_BUTTON, Panel
 from display.picture import fit
-from display.preferences import Preferences, read_bookmarks
+from display.preferences import Preferences
 from display.protocol import Frame, WorldView
-from display.user_commands import Command, Pause, SingleStep, ViewFiles, last_of
+from display.user_commands import Command, ViewFiles
 from display.window.controls import HOVER_OPACITY, ROOM_GIZMO, Controls, Hover
 from display.window.dialogs import LengthDialog, OpenDialog, SceneMenu, UpChoice
 from display.window.gizmo import Gizmo
 from display.window.gl_context import PictureTexture
 from display.window.gl_window import GLWindow
-from display.window.mouse import MouseHand, OrbitCamera
 from display.window.overlay import FirstHint, draw_lines, measuring_lines
 from display.window.panel_drawer import PanelDrawer
 from display.window.widgets import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
@@ -56,7 +55,7 @@ class Window:
         hint: bool = True,
         vsync: bool = True,
     ):
-        self._preferences, self._name = preferences or Preferences(), name
+        self._preferences = preferences or Preferences()
         self._surface = GLWindow(title, width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1], vsync=vsync)
         self._opened = self._restore(asked=width is not None)
         self._texture = PictureTexture(self._surface.gl)
@@ -68,9 +67,8 @@ class Window:
         self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
         self._hover = Hover()
         self._resolution = WindowResolution()
-        self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
+        self._controls = Controls(scene, self._preferences, name)
         self._controls.panel = self._preferences.get("panel.open", True)
-        self._controls.bookmarks = self._bookmarks_of(name)
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
@@ -149,15 +147,8 @@ class Window:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         self._surface.set_title(title)
         self._panel.title = title
-        self._controls.let_go()
-        self._controls.measured = None
-        self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
-        self._name, self._controls.bookmarks = name, self._bookmarks_of(name)
+        self._controls.show_scene(scene, name)
         self._commands = []
-
-    def _bookmarks_of(self, name: str) -> dict:
-        """The views that are kept of a scene."""
-        return read_bookmarks(self._preferences.get(f"bookmarks.{name}", {}))
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the user quits; slower where that cannot be kept up (display/clock.py)."""
@@ -179,10 +170,7 @@ class Window:
             self._resize(now, world)
             commands = self._handle(events, world)
             self._controls.follow(world)
-            pause = last_of(Pause, commands)
-            paused = world.paused if pause is None else pause.on
-            running = not paused or last_of(SingleStep, commands) is not None
-            hands = self._controls.advance(self._camera, dt, running=running, pace=world.time_scale)
+            hands = self._controls.hands(self._camera, dt, commands, world)
             self._time += dt
             self._camera = orbit.camera(self._camera.width, self._camera.height)
             yield Frame(dt, self._time, [orbit.camera(*world.picture_size)], hands, commands, max_step=MAX_STEP)
@@ -280,7 +268,6 @@ class Window:
                 commands.append(ViewFiles(tuple(*what)))
             elif kind == "blur":
                 controls.let_go()
-        self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)
         commands += controls.place_light(world, *self._cursor, self._camera)
         return controls.completed(commands, self._surface.frame_size)
 

@@ -35,7 +35,7 @@ def world() -> BallWorld:
 
 @pytest.fixture
 def controls() -> Controls:
-    return Controls(OrbitCamera((0, 0, 3), (0, 0, 0), 0.9), MouseHand())
+    return Controls(fake_scene())
 
 
 # camera

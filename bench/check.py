@@ -13,7 +13,7 @@ from time import perf_counter
 
 from assets.file_access import check_writable
 from bench import physics, physics_contact
-from display.run_stats import write_stats
+from display.timing import write_stats
 
 HEAD = ("check", "reference", "measured", "tolerance", "verdict")
 KEYS = ("check", "relation", *HEAD[1:4], "pass")  # of a row in the JSON file

@@ -16,7 +16,7 @@ import taichi as ti
 
 from assets.file_access import check_writable
 from bench.stereo_play import RATE, StereoPlay
-from display.run_stats import write_stats
+from display.timing import write_stats
 from scenes import registry
 from scenes.paper_demos import PaperDemo, paper_demos, use_paper_assets, use_shipped_assets
 

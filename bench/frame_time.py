@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.stereo_play import EYE_SIZE, RATE, StereoPlay
-from display.run_stats import write_stats
+from display.timing import write_stats
 from display.xr.headset import NoMirror
 from display.xr.swapchains import FRAGMENT, VERTEX
 from scenes import ring_toss

@@ -31,9 +31,10 @@ from bench.inpainting import inpainting_section
 from core.camera import look_at, perspective
 from core.fields import destroy_fields, keep_compiled_kernels
 from core.report import Section, Table, html_page
+from core.typed import to_plain
 from display.picture import pixels_of
 from display.protocol import Frame
-from display.run_stats import plain, run_stats
+from display.timing import run_stats
 from display.world import World
 from scenes import registry
 from scenes.paper_demos import PaperDemo, paper_demos
@@ -120,7 +121,7 @@ def run(args) -> None:
         text = f"Made by vrgs.py figures on {how}.{still} {PAPER}"
         with atomic_write_all(page, numbers) as (page_part, numbers_part):
             page_part.write_text(html_page("VR-GS: figures and tables", text, sections), encoding="utf-8")
-            numbers_part.write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
+            numbers_part.write_text(json.dumps(to_plain(results), indent=1) + "\n", encoding="utf-8")
     print(f"wrote {page} and {numbers}, after {in_words(perf_counter() - begin)}", file=sys.stderr)
 
 

@@ -17,7 +17,7 @@ from time import perf_counter
 import numpy as np
 
 from core.camera import Camera
-from display.run_stats import write_stats
+from display.timing import write_stats
 from display.viewed_file import camera_around, upright
 from render import SORTS
 

@@ -16,7 +16,7 @@ import taichi as ti
 from assets.file_access import check_writable
 from bench.synthetic_room import SIZES, eyes, room
 from core.camera import Camera
-from display.run_stats import write_stats
+from display.timing import write_stats
 from render.renderer import Renderer
 from render.splats import Splats
 

@@ -23,7 +23,7 @@ from bench.scene_acts import ACTS, Cast, room
 from core.errors import BadInput
 from core.material import Material
 from core.program import cache_folder
-from display.run_stats import write_stats
+from display.timing import write_stats
 from sim.model import Capacity, Model, RestShape
 from sim.solver import Solver
 

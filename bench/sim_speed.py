@@ -19,7 +19,7 @@ from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
-from display.run_stats import write_stats
+from display.timing import write_stats
 from sim.contact.static_shapes import StaticGrid
 from sim.model import SoftBody
 from sim.solver import Solver

@@ -17,7 +17,7 @@ import numpy as np
 import taichi as ti
 
 from core.errors import BadInput
-from display.run_stats import peak_memory_mb, write_stats
+from display.timing import peak_memory_mb, write_stats
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
 
 STAGE_STEPS = 100  # that are timed stage by stage, with the device waited for after each

@@ -109,7 +109,7 @@ class Session:
 
     def report(self) -> None:
         """Print and write the results of the play."""
-        from display.run_stats import run_stats, write_stats
+        from display.timing import run_stats, write_stats
 
         args, world = self.args, self.world
         if self.replay:

@@ -92,10 +92,10 @@ def add_answers(args: argparse.Namespace) -> None:
 
 def show(args: argparse.Namespace) -> None:
     """Print the comparison; write the page and the numbers."""
-    from display.run_stats import write_stats
     from display.study.comparison import compare_answers, compare_trials
     from display.study.study_file import Study, read_study
     from display.study.study_page import page
+    from display.timing import write_stats
 
     studies = [read_study(file) for file in args.files]
     study = Study([t for s in studies for t in s.trials], [a for s in studies for a in s.answers])

@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> None:
     start_taichi(args.arch)
     from display.headless.stiffness_sweep import drop_each, strip
     from display.picture import save_picture
-    from display.run_stats import write_stats
+    from display.timing import write_stats
 
     path, name = find_asset(args.asset), Path(args.asset).stem
     if not is_asset(args.asset):

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
 import sys
 from functools import cache
@@ -92,7 +93,10 @@ def to_json(value: Any, *, indent: int | None = None) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """A value as plain data: a dataclass as an object of its fields, without those that are None by default."""
+    """A value as plain data: a dataclass as an object of its fields, without those that are None by default.
+
+    NumPy scalars and arrays become numbers and lists, NaN and infinity null.
+    """
     if dataclasses.is_dataclass(value):
         fields = [(f, getattr(value, f.name)) for f in dataclasses.fields(value)]
         return {f.name: to_plain(v) for f, v in fields if not (v is None and f.default is None)}
@@ -100,7 +104,9 @@ def to_plain(value: Any) -> Any:
         return {key: to_plain(v) for key, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [to_plain(v) for v in value]
-    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+    if isinstance(value, (np.ndarray, np.generic)):
+        return to_plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Timings of frames, a stopwatch per stage, and the progress of a start."""
+"""Timings of frames, the progress of a start, and the statistics of a run, as `--stats` writes them."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
+from pathlib import Path
 from time import perf_counter
 from typing import TextIO
 
 import numpy as np
 
+from assets.file_access import atomic_write
 from core.runtime import watch_compilation
+from core.typed import to_json
 
 HISTORY_LENGTH = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
 RECENT_SAMPLES = 60  # samples behind the panel's numbers: steady, and still current
+KERNELS = 91  # of the sandbox; other scenes have about as many
+SHOW_INTERVAL = 0.2  # [s] between two lines on the display, and on a terminal, which renews its line
+LOG_INTERVAL = 5.0  # [s] between two lines in a file
 
 
 class Timings:
@@ -139,11 +145,6 @@ def last(values: deque[float], count: int) -> list[float]:
     return list(islice(reversed(values), count))
 
 
-KERNELS = 91  # of the sandbox; other scenes have about as many
-SHOW_INTERVAL = 0.2  # [s] between two lines on the display, and on a terminal, which renews its line
-LOG_INTERVAL = 5.0  # [s] between two lines in a file
-
-
 @contextmanager
 def start_progress(show: Callable[[str], None], out: TextIO | None = None) -> Iterator[None]:
     """While active, tell `show` and the terminal which kernel is being compiled, or read from the cache."""
@@ -169,3 +170,52 @@ def start_progress(show: Callable[[str], None], out: TextIO | None = None) -> It
     finally:
         if out.isatty() and written > begin:
             print("\r\033[K", end="", file=out, flush=True)
+
+
+def run_stats(world, frames: int) -> dict:
+    """Statistics of a run of `frames` frames: the world's own, its timings and the process's memory."""
+    timings = world.timings
+    light = {} if timings.to_light is None else {"motion_to_photon_ms": 1e3 * timings.to_light}
+    return {
+        "frames": frames,
+        "fps": timings.fps,
+        "stages": timings.as_dict(),
+        **world.stats(),
+        "missed_frames": timings.missed,
+        "worst_frame_ms": 1e3 * timings.worst,
+        "dropped_seconds": timings.dropped,
+        **light,
+        "peak_memory_mb": peak_memory_mb(),
+    }
+
+
+def write_stats(path: str | Path, stats: dict | list[dict]) -> None:
+    """Write JSON, whole or not at all; NaN becomes null. Raises BadInput."""
+    with atomic_write(path) as beside:
+        beside.write_text(to_json(stats, indent=2) + "\n", encoding="utf-8")
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far [MB = 1e6 bytes]."""
+    if sys.platform == "win32":
+        return _peak_memory_windows() / 1e6
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6  # bytes on macOS, KiB elsewhere
+
+
+def _peak_memory_windows() -> int:
+    """PeakWorkingSetSize [bytes] of GetProcessMemoryInfo (psapi): Windows has no getrusage."""
+    import ctypes
+    from ctypes import wintypes
+
+    counters = (ctypes.c_size_t * 9)()  # PROCESS_MEMORY_COUNTERS: two DWORDs in one, the peak, and seven others
+    size = counters[0] = ctypes.sizeof(counters)
+    process = ctypes.windll.kernel32.GetCurrentProcess
+    process.restype = wintypes.HANDLE
+    read = ctypes.windll.psapi.GetProcessMemoryInfo
+    read.argtypes = [wintypes.HANDLE, ctypes.c_void_p, wintypes.DWORD]
+    if not read(process(), counters, size):
+        raise ctypes.WinError()
+    return counters[1]

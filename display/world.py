@@ -367,40 +367,33 @@ class World(WorldView):
             self.apply([SetInteraction(game.interaction(time))])
         return game.hands(time, self.registry.scene_states(self._bodies))
 
-    # what displays see: display/protocol.py, WorldView
+    # What displays see, as WorldView says (display/protocol.py)
 
     def resize(self, width: int, height: int) -> None:
-        """Draw pictures of another size [px] from now on."""
         self._drawn = None
         self.device.resize(width, height)
 
     @property
     def picture_size(self) -> tuple[int, int]:
-        """(width, height) of one view's picture [px]."""
         return self.device.picture_size
 
     @property
     def picture(self):
-        """The finished picture, ti.ndarray u32 (views * H, W): R | G<<8 | B<<16 | A<<24, row 0 on top."""
         return self.device.renderer.picture
 
     @property
     def light(self) -> Light | None:
-        """The light now; None if the scene has none."""
         return self.device.light
 
     @property
     def interaction(self) -> str:
-        """ "physics" or "transform"."""
         return self.device.solver.interaction
 
     @property
     def gravity(self) -> tuple[float, float, float]:
-        """Acceleration of what falls [m/s^2]."""
         return self.device.solver.gravity
 
     def material(self, body: int) -> tuple[Material, str]:
-        """Material of a body, and its name: "rubber", "rubber, changed"; of a rigid body, "rigid"."""
         return self.registry.material(body)
 
     @property
@@ -416,83 +409,59 @@ class World(WorldView):
         return np.ptp(np.asarray(model.body.vertices), axis=0), float(np.sum(model.shape.vertex_volumes))
 
     def bodies(self) -> list[BodyState]:
-        """The simulated bodies after the last frame."""
         return self._bodies
 
     def pick(self, origin, direction) -> tuple[float, int] | None:
-        """Distance [m] along a ray to the nearest simulated body, and its index; None behind the room."""
         hit = self.device.solver.pick(origin, direction)
         return None if hit is None or self.device.sight.hides(origin, direction, hit[0]) else hit
 
     def surface(self, camera: Camera, u: float, v: float) -> np.ndarray | None:
-        """Point (3,) [m] of what a camera sees at a pixel; None: nothing opaque."""
         return surface_point(self.device.splats, camera, u, v)
 
     def ground(self, point) -> float | None:
-        """Height [m] of the room below a point; None: there is none near."""
         return self.device.sight.ground(point)
 
     @property
     def selected(self) -> int | None:
-        """Index of the body that was last held or pointed at."""
         return self.editor.selected
 
     @property
     def room_middle(self) -> np.ndarray | None:
-        """Point (3,) [m] about which the user's room is turned; None: there is no room of the user's."""
         return self.room.middle if self.room.own is not None else None
 
     @property
     def recently_selected(self) -> bool:
-        """Was the selected body pointed at or changed within the last seconds?"""
         return self.editor.recently_selected
 
     @property
     def notice(self) -> str:
-        """Message about the last command, for some seconds."""
         return self.editor.notice.shown
 
     def tell(self, text: str) -> None:
-        """Let `notice` be this text."""
         self.editor.notice.tell(text)
 
     @property
     def simulation_cost(self) -> float | None:
-        """Seconds of computing for a second of simulation; None before it is known."""
         return self._cost.value
 
     def hand_forces(self) -> list[np.ndarray]:
-        """Force of each hand of the last frame on the body that it holds [N], (3,)."""
         return self.device.solver.hand_forces()
 
     def touch_forces(self) -> list[np.ndarray]:
-        """Contact force of each hand's finger capsules on bodies it does not hold [N], (3,); [] without fingers."""
         return self.device.solver.touch_forces()
 
     @property
     def score(self) -> int:
-        """Score of the scene's game."""
         return self.scene.game.score if self.scene.game is not None else 0
 
     @property
     def message(self) -> str:
-        """Message of the scene's game."""
         return self.scene.game.message if self.scene.game is not None else ""
 
     def stats(self) -> dict:
         """Counts and state for panels and `--stats`, and the files that play roles."""
         s = self.device.solver.stats
-        names = (
-            "vertices",
-            "tets",
-            "substeps",
-            "dt",
-            "integrator",
-            "iterations",
-            "collision_passes",
-            "finite",
-            "asleep",
-        )
+        names = "vertices tets substeps dt integrator iterations collision_passes finite asleep".split()
         counts = {"gaussians": self.device.splats.count, **{n: s[n] for n in names}, "score": self.score}
         limits = [{"body": body, "young": young, "simulated": simulated} for body, young, simulated in self.softened]
         roles = {"roles": {role: file for file, role in self.scene.cast}} if self.scene.cast else {}

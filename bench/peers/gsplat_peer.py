@@ -102,7 +102,7 @@ def main() -> int:
             flush=True,
         )
     if args.json:
-        from display.run_stats import write_stats
+        from display.timing import write_stats
 
         write_stats(args.json, rows)
     return int(any(row["difference"] > AGREE for row in rows))

@@ -283,7 +283,7 @@ def main() -> int:
             rows += train(path, args, torch.device(args.device))
             print_rows(rows)
             if args.json:
-                from display.run_stats import write_stats
+                from display.timing import write_stats
 
                 write_stats(args.json, rows)
     except BadInput as e:

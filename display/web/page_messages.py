@@ -35,7 +35,7 @@ import numpy as np
 
 from core.camera import Camera, project
 from core.errors import BadInput
-from core.typed import Range, Size, from_plain
+from core.typed import Range, Size, from_plain, to_plain
 from core.vocabulary import BodyState
 from display.edit.selection_marker import marked, marker_lines
 from display.panel import (
@@ -53,7 +53,6 @@ from display.panel import (
     spoken,
 )
 from display.protocol import WorldView
-from display.run_stats import plain
 from display.user_commands import OpenScene
 from display.window.controls import HOVER_OPACITY
 from display.window.key_bindings import BY_CHORD, help_rows
@@ -178,7 +177,7 @@ def described_row(row: Row) -> dict:
         fields["tip"] += " A right click brings the usual value back."
     if isinstance(row, Choice):
         fields["options"] = list(row.options.items())
-    return kind | plain({name: value for name, value in fields.items() if not callable(value)})
+    return kind | to_plain({name: value for name, value in fields.items() if not callable(value)})
 
 
 def overlay(world: WorldView, camera: Camera, hand: np.ndarray | None, under: BodyState | None, *, near: bool) -> list:

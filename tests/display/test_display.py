@@ -17,8 +17,7 @@ from display.headless.headless import Progress
 from display.panel import frame_lines
 from display.picture import fit, pixels_of, save_picture, side_by_side
 from display.protocol import Frame
-from display.run_stats import peak_memory_mb, run_stats, write_stats
-from display.timing import Timings
+from display.timing import Timings, peak_memory_mb, run_stats, write_stats
 from tests.support.fake_world import FakeWorld, fake_scene
 
 WIDTH, HEIGHT = 320, 180

@@ -214,7 +214,7 @@ def picture_version(path: Path) -> int:
 
 def write_numbers(folder: Path, k: int) -> None:
     """Statistics."""
-    from display.run_stats import write_stats
+    from display.timing import write_stats
 
     write_stats(folder / "stats.json", {"version": k, "more": list(range(3000))})
 

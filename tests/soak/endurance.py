@@ -25,7 +25,7 @@ from core.errors import BadInput
 from core.vocabulary import Hand, Light
 from display import user_commands
 from display.protocol import Frame
-from display.run_stats import write_stats
+from display.timing import write_stats
 from display.user_commands import Command
 
 if TYPE_CHECKING:

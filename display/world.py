@@ -461,7 +461,17 @@ class World(WorldView):
     def stats(self) -> dict:
         """Counts and state for panels and `--stats`, and the files that play roles."""
         s = self.device.solver.stats
-        names = "vertices tets substeps dt integrator iterations collision_passes finite asleep".split()
+        names = [
+            "vertices",
+            "tets",
+            "substeps",
+            "dt",
+            "integrator",
+            "iterations",
+            "collision_passes",
+            "finite",
+            "asleep",
+        ]
         counts = {"gaussians": self.device.splats.count, **{n: s[n] for n in names}, "score": self.score}
         limits = [{"body": body, "young": young, "simulated": simulated} for body, young, simulated in self.softened]
         roles = {"roles": {role: file for file, role in self.scene.cast}} if self.scene.cast else {}

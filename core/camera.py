@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+
+from core.typed import Range, Shape
+
+Side = Annotated[int, Range(1, 16_384)]  # [px] of a file; a larger picture is a mistake in it
+Focal = Annotated[float, Range(1e-3, 1e9)]  # [px]: products still fit float32
+Centre = Annotated[float, Range(-1e9, 1e9)]  # [px]
 
 
 @dataclass(frozen=True)
 class Camera:
     """Size and intrinsics [px], and the rigid transform `world_to_camera` (4, 4) of points [m]."""
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    world_to_camera: np.ndarray
+    width: Side
+    height: Side
+    fx: Focal
+    fy: Focal
+    cx: Centre
+    cy: Centre
+    world_to_camera: Annotated[np.ndarray, Shape(4, 4)]
 
     @property
     def position(self) -> np.ndarray:

@@ -12,10 +12,10 @@
 
 Plain data is untrusted. A type is a dataclass (an object with its fields; those with a default may be missing, others
 than its fields may not be there), `tuple[A, B]` or `tuple[A, ...]`, `list[A]`, `dict[str, A]`, `Literal`, a union,
-`np.ndarray` with a Shape, `bool`, `int`, `float`, `str`, `None`, or `Any`. Numbers must be finite; texts and lists
-without a Size have at most TEXT_MAX characters and ITEMS_MAX items. What no annotation can say, a dataclass checks in
-`__post_init__`, by raising ValueError. Where JSON has a list of the values of a message instead of an object, its type
-is a tuple: `from_plain(tuple[Fraction, Fraction], values, "move")`.
+`np.ndarray` with a Shape, `bool`, `int` (1.0 is one, too), `float`, `str`, `None`, or `Any`. Numbers must be finite;
+texts and lists without a Size have at most TEXT_MAX characters and ITEMS_MAX items. What no annotation can say, a
+dataclass checks in `__post_init__`, by raising ValueError. Where JSON has a list of the values of a message instead of
+an object, its type is a tuple: `from_plain(tuple[Fraction, Fraction], values, "move")`.
 """
 
 from __future__ import annotations
@@ -200,7 +200,8 @@ def _number(kind: type, bounds: tuple, value: Any, path: str) -> int | float:
     """A finite number within its bounds."""
     given = _bound(Range, bounds)
     low, high = (given.low, given.high) if given else (-sys.float_info.max, sys.float_info.max)
-    if type(value) not in {int: (int,), float: (int, float)}[kind] or not low <= value <= high:  # NaN compares false
+    fits = type(value) is int or (type(value) is float and (kind is float or value.is_integer()))
+    if not fits or not low <= value <= high:  # NaN compares false
         span = f" from {low:g} to {high:g}" if given else ""
         raise _wrong(path, value, f"a {'whole ' if kind is int else ''}number{span}")
     return kind(value)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from assets.file_access import atomic_write, read_json
 from core.errors import BadInput
+from core.typed import Shape, from_plain
 from prepare.segment.mask_files import JSON_MAX, OBJECTS_MAX, check_name
 
 FORM = '{"objects": {"NAME": {"PHOTOGRAPH.jpg": {"inside": [[[x, y], ...], ...], "outside": [...], "boxes": [...]}}}}'
 POINTS_MAX = 100_000  # in all strokes on an object in a view
+Stroke, Box = Annotated[np.ndarray, Shape(None, 2)], Annotated[np.ndarray, Shape(4)]
 
 
 @dataclass
@@ -26,9 +28,9 @@ class ViewMarks:
     boxes            around the object, (4,) each: x0, y0, x1, y1
     """
 
-    inside: list[np.ndarray] = field(default_factory=list)
-    outside: list[np.ndarray] = field(default_factory=list)
-    boxes: list[np.ndarray] = field(default_factory=list)
+    inside: list[Stroke] = field(default_factory=list)
+    outside: list[Stroke] = field(default_factory=list)
+    boxes: list[Box] = field(default_factory=list)
 
     @property
     def points(self) -> np.ndarray:
@@ -65,22 +67,35 @@ def read_marks(path: str | Path, sizes: Mapping[str, tuple[int, int]]) -> Marks:
 def marks_of(data, sizes: Mapping[str, tuple[int, int]], where: str) -> Marks:
     """The marks of parsed JSON, as `read_marks`; `where` is named in errors."""
     objects = data.get("objects") if isinstance(data, dict) else None
-    if not isinstance(objects, dict) or not all(isinstance(v, dict) for v in objects.values()):
+    if not isinstance(objects, dict):
         raise BadInput(f"{where}: no marks; the form is {FORM}")
     if not 0 < len(objects) <= OBJECTS_MAX:
         raise BadInput(f"{where}: {len(objects)} objects are marked, not 1 to {OBJECTS_MAX}")
-    marks = Marks()
-    for name, views in objects.items():
+    marks = from_plain(Marks, {"objects": objects}, where)
+    for name, views in marks.objects.items():
         check_name(name, where)
-        marks.objects[name] = {}
         for view, entry in views.items():
-            place = f"{where}: {name!r} in {view}"
             if view not in sizes:
-                raise BadInput(f"{place}: no such photograph; there are {_some(sizes)}")
-            marks.objects[name][view] = _view_marks(entry, sizes[view], place)
-        if not any(m.inside or m.boxes for m in marks.objects[name].values()):
+                raise BadInput(f"{where}: {name!r} in {view}: no such photograph; there are {_some(sizes)}")
+            check_view(entry, sizes[view], f"{where}: {name!r} in {view}")
+        if not any(m.inside or m.boxes for m in views.values()):
             raise BadInput(f"{where}: {name!r} has no stroke inside of it and no box around it")
     return marks
+
+
+def check_view(marks: ViewMarks, size: tuple[int, int], where: str) -> None:
+    """Raise BadInput for boxes without area, and for marks outside of a photograph of this size [px]."""
+    for x0, y0, x1, y1 in marks.boxes:
+        if x1 - x0 < 1 or y1 - y0 < 1:
+            box = f"[{x0:g}, {y0:g}, {x1:g}, {y1:g}]"
+            raise BadInput(f"{where}: the box {box} has no area; its form is [left, top, right, bottom]")
+    points = marks.points
+    if not 0 < len(points) <= POINTS_MAX:
+        raise BadInput(f"{where}: {len(points)} points, not 1 to {POINTS_MAX}")
+    out = ((points < 0) | (points > size)).any(axis=1)
+    if out.any():
+        x, y = points[out][0]
+        raise BadInput(f"{where}: ({x:g}, {y:g}) is outside of the photograph, {size[0]}x{size[1]}")
 
 
 def write_marks(path: str | Path, marks: Marks) -> None:
@@ -122,52 +137,6 @@ def drawn_boxes(boxes: list[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
         x0, y0, x1, y1 = np.round(box).astype(int)
         mask[max(y0, 0) : max(y1, y0 + 1), max(x0, 0) : max(x1, x0 + 1)] = True
     return mask
-
-
-def _view_marks(entry, size: tuple[int, int], where: str) -> ViewMarks:
-    if not isinstance(entry, dict) or not set(entry) <= {"inside", "outside", "boxes"}:
-        raise BadInput(f"{where}: not an object with inside, outside and boxes")
-    for kind, parts in entry.items():
-        if not isinstance(parts, list):
-            raise BadInput(f"{where}: {kind} is no list")
-    strokes = {k: [_points(s, size, f"{where}: a stroke {k}") for s in entry.get(k, [])] for k in ("inside", "outside")}
-    marks = ViewMarks(**strokes, boxes=[_box(b, size, where) for b in entry.get("boxes", [])])
-    if not 0 < len(marks.points) <= POINTS_MAX:
-        raise BadInput(f"{where}: {len(marks.points)} points, not 1 to {POINTS_MAX}")
-    return marks
-
-
-def _points(stroke, size: tuple[int, int], where: str) -> np.ndarray:
-    if not isinstance(stroke, list) or not stroke:
-        raise BadInput(f"{where} is empty, or no list of [x, y]")
-    for point in stroke:
-        if not isinstance(point, list) or len(point) != 2 or not all(map(_finite, point)):
-            raise BadInput(f"{where}: {point!r:.60} is not [x, y]")
-    points = np.array(stroke, np.float64)
-    _check_inside(points, size, where)
-    return points
-
-
-def _box(box, size: tuple[int, int], where: str) -> np.ndarray:
-    if not isinstance(box, list) or len(box) != 4 or not all(map(_finite, box)):
-        raise BadInput(f"{where}: {box!r:.60} is not a box [x0, y0, x1, y1]")
-    x0, y0, x1, y1 = box
-    if x0 > x1 or y0 > y1 or x1 - x0 < 1 or y1 - y0 < 1:
-        raise BadInput(f"{where}: the box {box} has no area; its form is [left, top, right, bottom]")
-    found = np.array(box, np.float64)
-    _check_inside(found.reshape(2, 2), size, where)
-    return found
-
-
-def _check_inside(points: np.ndarray, size: tuple[int, int], where: str) -> None:
-    out = ((points < 0) | (points > size)).any(axis=1)
-    if out.any():
-        x, y = points[out][0]
-        raise BadInput(f"{where}: ({x:g}, {y:g}) is outside of the photograph, {size[0]}x{size[1]}")
-
-
-def _finite(value) -> bool:
-    return not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(value)
 
 
 def _some(names: Mapping[str, object]) -> str:

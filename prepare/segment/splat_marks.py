@@ -9,10 +9,11 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from assets.camera_file import camera_entry, parse_camera
+from assets.camera_file import parse_camera
 from assets.file_access import atomic_write, read_json
 from core.camera import Camera
 from core.errors import BadInput
+from core.typed import to_plain
 from prepare.segment.marks import Marks, marks_json, marks_of
 from prepare.segment.mask_files import JSON_MAX
 
@@ -57,7 +58,7 @@ def read_splat_marks(path: str | Path) -> SplatMarks:
 def write_splat_marks(path: str | Path, marks: SplatMarks) -> None:
     """Write marks and cameras as JSON. Raises BadInput."""
     data = {
-        "views": {name: camera_entry(camera) for name, camera in marks.cameras.items()},
+        "views": {name: to_plain(camera) for name, camera in marks.cameras.items()},
         "objects": marks_json(marks.marks),
         "grow": {name: rings for name, rings in marks.grow.items() if rings},
     }

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import vrgs
-from assets.camera_file import FOCAL_RANGE, SIDE_MAX
 from assets.gaussians import LOG_SCALE_MAX, MAGNITUDE_MAX, Gaussians, concatenate
 from assets.splat_files import read_gaussians, write_gaussians
 from core.camera import Camera, look_at
@@ -29,20 +28,19 @@ BAD_CAMERAS = {
     "": "is empty",
     "[" * 100_000: "not a JSON file",
     "[]": "holds no camera",
-    "3": "camera 0: expected an object",
-    "[null]": "camera 0: expected an object",
+    "3": "camera 0: it is 3, not an object with width, ",
+    "[null]": "camera 0: it is None, not an object with width, ",
     json.dumps([CAMERA, CAMERA | {"width": 17}]): "the cameras differ in size",
-    json.dumps([CAMERA, {k: v for k, v in CAMERA.items() if k != "cy"}]): "camera 1: missing 'cy'",
+    json.dumps([CAMERA, {k: v for k, v in CAMERA.items() if k != "cy"}]): "camera 1: cy is missing",
 }
 BAD_NUMBERS = [
-    *[(name, v, f"{name} must be 0.001 to 1e+09") for name in ("fx", "fy") for v in (NAN, INF, 0, -5, 1e-310, 1e300)],
-    *[(name, v, f"{name} must be -1e+09 to 1e+09") for name in ("cx", "cy") for v in (NAN, -INF, 1e300, -1e10)],
-    *[(name, v, f"{name} must be 1 to {SIDE_MAX}") for name in ("width", "height") for v in (NAN, INF, 0, -1, 16385)],
-    *[("width", v, "width must be 1 to") for v in (1e300, 10**400)],
-    *[("height", v, "height is not a number") for v in ("8", None, True, [8], {})],
-    ("width", 16.5, "width and height must be whole"),
-    *[("world_to_camera", m, "must be 4x4 and finite") for m in ("abc", None, [[1, 2], [3]], np.eye(3).tolist())],
-    *[("world_to_camera", matrix(0, 3, v), "must be 4x4 and finite") for v in (NAN, INF, 10**400)],
+    *[(n, v, "not a number from 0.001 to 1e+09") for n in ("fx", "fy") for v in (NAN, INF, 0, -5, 1e-310, 1e300)],
+    *[(n, v, "not a number from -1e+09 to 1e+09") for n in ("cx", "cy") for v in (NAN, -INF, 1e300, -1e10)],
+    *[(n, v, "not a whole number from 1 to 16384") for n in ("width", "height") for v in (NAN, INF, 0, -1, 16385)],
+    *[("width", v, "not a whole number") for v in (1e300, 10**400, 16.5)],
+    *[("height", v, "not a whole number") for v in ("8", None, True, [8], {})],
+    *[("world_to_camera", m, "not 4x4 finite numbers") for m in ("abc", None, [[1, 2], [3]], np.eye(3).tolist())],
+    *[("world_to_camera", matrix(0, 3, v), "not 4x4 finite numbers") for v in (NAN, INF, 10**400)],
     *[("world_to_camera", matrix(2, 3, v), "translation in world_to_camera is beyond") for v in (1e16, -1e300)],
     *[("world_to_camera", matrix(3, k, 7.0), "last row of world_to_camera is not 0 0 0 1") for k in (0, 3)],
     *[("world_to_camera", matrix(1, 1, v), "rotation in world_to_camera is not orthonormal") for v in (1.01, -1, 0)],
@@ -72,7 +70,7 @@ def test_a_camera_file_that_is_none_is_refused_in_one_line(ti_cpu, tmp_path, cap
 def test_a_number_that_is_none_is_named(ti_cpu, tmp_path, capsys, name, value, what):
     assert command(tmp_path, CAMERA | {name: value}) == 2
     line = said_in_one_line(capsys, tmp_path)
-    assert "camera.json: camera 0: " in line and what in line
+    assert "camera.json: camera 0: " in line and name in line and what in line
 
 
 def absurd(rng, count: int) -> Gaussians:
@@ -97,8 +95,8 @@ def absurd_camera(rng, side: int) -> Camera:
     pose = look_at(rng.normal(size=3), rng.normal(size=3))
     if rng.random() < 0.3:
         pose[:3, 3] += rng.choice([-1, 1], 3) * [wild(1e-40, MAGNITUDE_MAX) for _ in range(3)]
-    fx, fy = (wild(*FOCAL_RANGE) if rng.random() < 0.5 else wild(1, 100) for _ in range(2))
-    cx, cy = (rng.choice([-1, 1]) * wild(1e-40, FOCAL_RANGE[1]) if rng.random() < 0.3 else 0.5 * side for _ in range(2))
+    fx, fy = (wild(1e-3, 1e9) if rng.random() < 0.5 else wild(1, 100) for _ in range(2))
+    cx, cy = (rng.choice([-1, 1]) * wild(1e-40, 1e9) if rng.random() < 0.3 else 0.5 * side for _ in range(2))
     return Camera(*rng.integers(1, side + 1, 2), fx, fy, cx, cy, pose)
 
 

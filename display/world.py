@@ -49,7 +49,7 @@ SCRIPT_DT = 1 / 60  # [s]; a scripted hand plays in frames of this length, whate
 
 @dataclass(frozen=True)
 class WorldSnapshot:
-    """State of a running world, but for its light and its settings. backlog: `World._backlog` [s]."""
+    """State of a running world, but for its light and its settings. backlog: `World.backlog` [s]."""
 
     bodies: BodiesSnapshot
     time: float
@@ -93,7 +93,7 @@ class World(WorldView):
         self.time = 0.0  # [s] of simulation since the last reset
         self._demo_from = self.interaction  # in which mode the demo began
         self.script_dt = SCRIPT_DT
-        self._backlog = 0.0  # [s] of a demo that have passed but are not simulated yet
+        self.backlog = 0.0  # [s] of a demo that have passed but are not simulated yet
         self._cost = SimulationCost()
         self._hands: list[Hand] = []  # of the last frame
         self._bodies: list[BodyState] = []
@@ -196,9 +196,9 @@ class World(WorldView):
                 self.registry.step(dt, hands)
             self.time += passed
             return
-        self._backlog += passed
-        while self._backlog >= script_dt and self.demo:
-            self._backlog -= script_dt
+        self.backlog += passed
+        while self.backlog >= script_dt and self.demo:
+            self.backlog -= script_dt
             self.time += script_dt
             self.registry.step(script_dt, self.scripted_hands(self.time))
             if self.scene.game is None or self.time >= self.scene.game.duration:
@@ -279,7 +279,7 @@ class World(WorldView):
         if self.room.moved:  # the start is a place in the room
             for k in range(len(self.registry.members)):
                 self.registry.displace(k, self.room.pose, rest=True)
-        self.time = self._backlog = 0.0
+        self.time = self.backlog = 0.0
         if self.scene.game is not None:
             self.scene.game.reset()
         self.refresh()
@@ -326,14 +326,14 @@ class World(WorldView):
     def snapshot(self) -> WorldSnapshot:
         """The state now; hands count as open."""
         game = {} if self.scene.game is None else deepcopy(vars(self.scene.game))
-        return WorldSnapshot(self.registry.snapshot(), self.time, self._backlog, game, self.room.pose)
+        return WorldSnapshot(self.registry.snapshot(), self.time, self.backlog, game, self.room.pose)
 
     def restore(self, snapshot: WorldSnapshot) -> None:
         """Bring a state back; a demo ends."""
         self._end_demo()
         self.registry.restore(snapshot.bodies)
         self.room.place(snapshot.room)
-        self.time, self._backlog = snapshot.time, snapshot.backlog
+        self.time, self.backlog = snapshot.time, snapshot.backlog
         if self.scene.game is not None:
             vars(self.scene.game).update(deepcopy(snapshot.game))
         self.refresh()

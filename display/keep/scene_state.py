@@ -1,12 +1,20 @@
-"""The state of a running world as a value that a file holds, and such a value put into a world."""
+"""The state of a running world as a value that a file holds, and such a value put into a world.
+
+Attributes of a game are JSON: numbers, texts, lists; all else, tuples, sets, dictionaries, arrays and dataclasses, is
+{"kind": [...]}. A file is untrusted: a dataclass must be one that the game's own module knows, with all its fields.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import math
+import sys
 from collections.abc import Sequence
 from copy import deepcopy
+from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,13 +22,17 @@ from assets.library import find_asset
 from core.errors import BadInput
 from display.edit.added_body import pieces_of
 from display.edit.body_registry import BodiesSnapshot, Member
-from display.keep.plain_values import game_state, game_values
-from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Settings
-from display.world import World, WorldSnapshot
+from display.keep.state_file import SavedAnimation, SavedBody, SavedGame, SceneState, Settings
 from scenes.scene import Scene
 from sim.model import BodyModel
 from sim.state import MOTION
 
+if TYPE_CHECKING:
+    from display.world import World
+
+DEPTH_MAX = 20  # of values in values of a game
+ARRAY_MAX = 1 << 20  # numbers of an array
+NUMBERS = {"floats": np.float64, "integers": np.int64, "bools": bool}  # kinds of arrays
 View = tuple[tuple[float, float, float], tuple[float, float, float]]  # eye and target [m]
 
 
@@ -42,7 +54,7 @@ def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
     scene, game = world.scene, world.scene.game
     eye, target = view or view_of(world)
     settings = Settings(
-        world.time, world.owed, world.gravity, world.time_scale, world.interaction, world.light,
+        world.time, world.backlog, world.gravity, world.time_scale, world.interaction, world.light,
         tuple(map(float, eye)), tuple(map(float, target)), None if game is None else game_state(game),
         tuple(map(tuple, room.pose.tolist())),
     )  # fmt: skip
@@ -109,8 +121,10 @@ def put_state(world: World, state: SceneState, where: str) -> None:
     before = world.snapshot()
     game_before = None if game is None else dict(vars(game))
     try:
-        bodies = BodiesSnapshot(solver, members, animations)
-        world.restore(WorldSnapshot(bodies, settings.time, settings.owed, values or {}, np.array(settings.room)))
+        bodies, room = BodiesSnapshot(solver, members, animations), np.array(settings.room)
+        world.restore(
+            replace(before, bodies=bodies, time=settings.time, backlog=settings.owed, game=values or {}, room=room)
+        )
         if game is not None:
             try_game(world, deepcopy(values), where)
     except BadInput:
@@ -201,3 +215,96 @@ def digest_of(path: Path, changed: float, size: int) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def game_state(game) -> SavedGame:
+    """The name and the attributes of a game. Raises BadInput that names what cannot be kept."""
+    state = {}
+    for name, value in vars(game).items():
+        try:
+            state[name] = encoded(value)
+        except BadInput as e:
+            raise BadInput(f"the game's {name!r}: {e}") from e
+    return SavedGame(type(game).__name__, state)
+
+
+def game_values(game, saved: SavedGame) -> dict[str, Any]:
+    """The attributes of a game of this kind. Raises BadInput."""
+    if saved.name != type(game).__name__ or saved.state.keys() != vars(game).keys():
+        raise BadInput("its game is another one")
+    known = vars(sys.modules[type(game).__module__])
+    classes = {name: kind for name, kind in known.items() if isinstance(kind, type) and is_dataclass(kind)}
+    return {name: decoded(value, classes) for name, value in saved.state.items()}
+
+
+def encoded(value: Any, depth: int = 0) -> Any:
+    """A value of a game as JSON. Raises BadInput for one of another type."""
+    if depth > DEPTH_MAX:
+        raise BadInput("values lie too deep in one another")
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"float": str(value)}
+    if isinstance(value, np.generic):
+        return encoded(value.item(), depth)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        kind = {"f": "floats", "b": "bools"}.get(value.dtype.kind, "integers")
+        return {kind: [list(value.shape), [encoded(v, depth + 1) for v in value.ravel().tolist()]]}
+    if isinstance(value, dict):
+        return {"dict": [[encoded(k, depth + 1), encoded(v, depth + 1)] for k, v in value.items()]}
+    if is_dataclass(value) and not isinstance(value, type):
+        return {
+            "object": [
+                type(value).__name__,
+                {f.name: encoded(getattr(value, f.name), depth + 1) for f in fields(value)},
+            ]
+        }
+    if isinstance(value, (list, tuple, set, frozenset)):
+        values = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
+        items = [encoded(v, depth + 1) for v in values]
+        return items if isinstance(value, list) else {type(value).__name__: items}
+    raise BadInput(f"a value of type {type(value).__name__} cannot be kept in a file")
+
+
+def decoded(value: Any, classes: dict[str, type], depth: int = 0) -> Any:
+    """The value of `encoded`; `classes` are the dataclasses that it may name. Raises BadInput."""
+    if depth > DEPTH_MAX:
+        raise BadInput("values lie too deep in one another")
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, list):
+        return [decoded(v, classes, depth + 1) for v in value]
+    try:
+        ((kind, content),) = value.items()
+        match kind:
+            case "float":
+                return float({"nan": "nan", "inf": "inf", "-inf": "-inf"}[content])
+            case "floats" | "integers" | "bools":
+                return decoded_array(NUMBERS[kind], *content)
+            case "tuple" | "set" | "frozenset":
+                make = {"tuple": tuple, "set": set, "frozenset": frozenset}[kind]
+                return make(decoded(v, classes, depth + 1) for v in list(content))
+            case "dict":
+                return {decoded(k, classes, depth + 1): decoded(v, classes, depth + 1) for k, v in list(content)}
+            case "object":
+                name, given = content
+                made = object.__new__(classes[name])  # as it was, whatever its constructor would make of the fields
+                if given.keys() != {f.name for f in fields(made)}:
+                    raise ValueError
+                for key, v in given.items():
+                    object.__setattr__(made, key, decoded(v, classes, depth + 1))
+                return made
+    except (AttributeError, LookupError, TypeError, ValueError, OverflowError) as e:
+        raise BadInput(f"{str(value)[:60]!r} is not a value of a game") from e
+    raise BadInput(f"{str(value)[:60]!r} is not a value of a game")
+
+
+def decoded_array(dtype: type, shape, values) -> np.ndarray:
+    """An array of numbers. Raises ValueError or the like."""
+    sides = [int(side) for side in shape]
+    if len(values) > ARRAY_MAX or math.prod(sides) != len(values) or min(sides, default=0) < 0:
+        raise ValueError
+    numbers = [decoded(v, {}) for v in values]
+    if not all(isinstance(n, (bool, int, float)) for n in numbers):
+        raise ValueError
+    return np.array(numbers, dtype).reshape(sides)

@@ -85,7 +85,7 @@ def state_samples(folder: Path) -> list[Files]:
 def read_saved_state(path: Path) -> None:
     """Read a state, and what its game was."""
     from core.errors import BadInput
-    from display.keep.plain_values import game_values
+    from display.keep.scene_state import game_values
     from display.keep.state_file import read_state
     from tests.fuzz.sample_plays import SomeGame
 

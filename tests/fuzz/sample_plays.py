@@ -8,7 +8,7 @@ import numpy as np
 
 from core.material import Material
 from core.vocabulary import Hand, Light
-from display.keep.plain_values import game_state
+from display.keep.scene_state import game_state
 from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Settings
 from display.record.recording import Recording
 from display.study.questionnaire import QUESTIONS, Answers

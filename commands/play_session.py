@@ -290,7 +290,7 @@ class Session:
 
     def _make(self, scene: Scene, reserve: Sequence[str] = ()) -> World:
         """The world of a scene, ready to play, with a report of the progress."""
-        from display.keep.remembered import Remembered
+        from display.keep.keeper import Remembered
         from display.record.recording import about_play
         from display.timing import start_progress
         from display.world import World, softened_note

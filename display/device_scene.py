@@ -17,8 +17,7 @@ from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.morton import morton_order
 from core.vocabulary import Light
-from display.edit.added_body import pieces_of
-from display.scene_bodies import AnimationTargets, load_bodies
+from display.scene_bodies import AnimationTargets, load_bodies, pieces_of
 from render import MOVING_SORT
 from render.renderer import Renderer
 from render.shadow_map import ShadowMap

@@ -21,10 +21,9 @@ from assets.room_folder import PICTURE as ROOM_PICTURE
 from core.material import MATERIALS, Material
 from core.vocabulary import Light
 from display import user_commands
-from display.edit.edit_steps import EDITS
 from display.protocol import WorldView
 from display.timing import Timings
-from display.user_commands import MIN_TIME_SCALE, Command, Export, OpenScene
+from display.user_commands import EDITS, MIN_TIME_SCALE, Command, Export, OpenScene
 from scenes import registry
 from scenes.registry import Demo, SceneOption
 

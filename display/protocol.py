@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from time import monotonic
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,6 +22,8 @@ from core.vocabulary import BodyState, Hand, Light, Vec3
 from display.timing import Timings
 from display.user_commands import Command
 from scenes.scene import Scene
+
+NOTICE_SECONDS = 6.0  # [s]
 
 
 @dataclass
@@ -181,3 +184,23 @@ class Display(Protocol):
     def __enter__(self) -> Display: ...
 
     def __exit__(self, *error) -> None: ...
+
+
+class Notice:
+    """The last message; `shown` is empty once its time is over."""
+
+    def __init__(self):
+        self._text, self._until = "", 0.0
+
+    @property
+    def shown(self) -> str:
+        """The message while it is to be seen."""
+        return self._text if monotonic() < self._until else ""
+
+    def tell(self, text: str) -> None:
+        """Show a message from now on."""
+        self._text, self._until = text, monotonic() + NOTICE_SECONDS
+
+    def clear(self) -> None:
+        """Show nothing."""
+        self._until = 0.0

@@ -6,6 +6,7 @@ This module declares them: their fields, their names in recordings and in messag
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
@@ -338,6 +339,29 @@ class WriteSplats(Command):
 
 
 C = TypeVar("C", bound=Command)
+SCALE_STEP = 1.25
+TURN_STEP = math.pi / 12  # [rad]
+ROOM_STEP = math.radians(3.0)  # of a whole room: it leans a little more often than it lies on its side
+
+
+def rotation_step(axis=(0.0, 1.0, 0.0), sign: float = 1.0, *, step: float = TURN_STEP) -> tuple[float, ...]:
+    """Quaternion wxyz of a step about a unit axis (3,), the vertical one unless told otherwise."""
+    half = sign * step / 2
+    return (math.cos(half), *(math.sin(half) * c for c in axis))
+
+
+EDITS: dict[str, Command] = {  # by the names of the panels' buttons, of the selected body
+    "undo": Undo(),
+    "redo": Redo(),
+    "copy": Duplicate(),
+    "remove": Remove(),
+    "smaller": Rescale(None, 1 / SCALE_STEP),
+    "larger": Rescale(None, SCALE_STEP),
+    "turn": Rotate(None, rotation_step(sign=-1.0)),
+    "turn room": TurnRoom(rotation_step(sign=-1.0, step=ROOM_STEP)),
+    "turn room back": TurnRoom(rotation_step(step=ROOM_STEP)),
+    "turn back": Rotate(None, rotation_step()),
+}
 
 
 def in_order(commands: Iterable[Command]) -> list[Command]:

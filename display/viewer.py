@@ -15,10 +15,9 @@ from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.measured_length import scale_between
 from display.edit.editor import rotation_matrix
-from display.edit.notice import Notice
-from display.keep.output_place import output_path
+from display.keep.keeper import output_path
 from display.picture import pixels_of, surface_point
-from display.protocol import Frame, Line, WorldView
+from display.protocol import Frame, Line, Notice, WorldView
 from display.timing import Timings
 from display.user_commands import (
     Command,

@@ -17,9 +17,8 @@ from core.vocabulary import BodyState, Hand, Light
 from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
-from display.edit.editor import Editor
+from display.edit.editor import Editor, Step
 from display.edit.room_turn import RoomTurn
-from display.edit.undo_stack import Step
 from display.picture import surface_point
 from display.protocol import Frame, WorldView
 from display.timing import Timings

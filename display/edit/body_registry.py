@@ -16,8 +16,7 @@ from core.errors import BadInput
 from core.material import MATERIALS, Material
 from core.vocabulary import BodyState, Hand
 from display.device_scene import DeviceScene
-from display.edit.added_body import Piece, fitted_harmonics, pieces_of
-from display.scene_bodies import AnimationTargets
+from display.scene_bodies import AnimationTargets, Piece, fitted_harmonics, pieces_of
 from sim.embedding import BodySpan, PackedBody
 from sim.model import MAX_BODIES, BodyModel, CapacityError
 

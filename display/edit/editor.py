@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from time import monotonic
 from typing import TypeVar
 
@@ -12,11 +13,10 @@ from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from core.vocabulary import BodyState, Hand
-from display.edit.added_body import pieces_of, put_over
 from display.edit.body_registry import BodyRegistry
-from display.edit.notice import Notice
 from display.edit.selection_marker import MARKED_SECONDS
-from display.edit.undo_stack import Step, UndoStack
+from display.protocol import Notice
+from display.scene_bodies import pieces_of, put_over
 from display.user_commands import (
     Command,
     Duplicate,
@@ -32,12 +32,7 @@ from display.user_commands import (
     in_order,
 )
 
-DRAG_GAP = {
-    "light": 30,
-    "rescale": 2,
-    "rotate": 2,
-    "turn room": 2,
-}  # frames without such a command that end a drag of it; others say
+DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2, "turn room": 2}  # frames without such a command that end its drag
 EDITS = (Select, Remove, Duplicate, Rescale, Rotate, Place, TurnRoom, SetMaterial, Undo, Redo)
 SELECTING = (Select, Duplicate, Rescale, Rotate, Place, SetMaterial)  # after these the selected body is marked
 SETTINGS = ("light", "gravity", "time_scale")  # of the world: an undo of one leaves the bodies where they are
@@ -46,7 +41,62 @@ BOX_SLACK = 0.05  # of a body's size, about its bounding box: its Gaussians reac
 COPY_GAP = 0.01  # [m] between a body and its copy
 SCALE_MIN, SCALE_MAX = 0.2, 5.0  # size of a body in multiples of its first one
 SCALE_ROUNDING = 1e-6  # a factor this near to 1 changes nothing
+STEPS_MAX = 64  # of the history
+BYTES_MAX = 256 << 20  # of all its steps
 T = TypeVar("T")
+
+
+@dataclass
+class Step:
+    """State before an action (or, once it is undone, after it).
+
+    action  name of the action;  state  any object from which the moment can be restored
+    sizes   bytes of the state, by the identity of the objects that take them: steps may share
+    """
+
+    action: str
+    state: object
+    sizes: dict[int, int] = field(default_factory=dict)
+
+
+class UndoStack:
+    """The last actions, at most `steps` and at most `size` bytes together; the oldest are dropped."""
+
+    def __init__(self, steps: int = STEPS_MAX, size: int = BYTES_MAX):
+        self.steps, self.size = steps, size
+        self.done: list[Step] = []
+        self.undone: list[Step] = []
+
+    def add(self, step: Step) -> None:
+        """Push an action; undone actions can no longer be redone."""
+        self.done.append(step)
+        self.undone.clear()
+        self._trim()
+
+    def back(self, now: Callable[[Step], Step]) -> Step | None:
+        """Undo the last action: the step to return to, or None. `now` returns the present state as a step."""
+        return self._move(self.done, self.undone, now)
+
+    def forth(self, now: Callable[[Step], Step]) -> Step | None:
+        """Redo the action that was undone last."""
+        return self._move(self.undone, self.done, now)
+
+    def _move(self, source: list[Step], target: list[Step], now: Callable[[Step], Step]) -> Step | None:
+        if not source:
+            return None
+        step = source.pop()
+        target.append(now(step))
+        self._trim()
+        return step
+
+    @property
+    def bytes(self) -> int:
+        """Size of all steps, with shared objects counted once."""
+        return sum({key: n for step in (*self.done, *self.undone) for key, n in step.sizes.items()}.values())
+
+    def _trim(self) -> None:
+        while len(self.done) + len(self.undone) > self.steps or (self.bytes > self.size and self.done):
+            (self.done or self.undone).pop(0)
 
 
 class Editor:

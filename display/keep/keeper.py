@@ -1,23 +1,38 @@
-"""Carrying out of the commands that write files: pictures, films, cameras, states, exports."""
+"""Files that the user asks for in play: pictures, films, cameras, states, exports; what is remembered of a scene."""
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from assets.camera_file import write_cameras
+from assets.file_access import check_writable, unused_name
 from core.camera import fitted
 from core.errors import BadInput
+from core.typed import from_plain, to_plain
+from core.vocabulary import Light
 from display.headless.video import FilmWriter
-from display.keep.output_place import output_path
 from display.picture import pixels_of, save_picture
 from display.preferences import Preferences
 from display.protocol import Frame
-from display.user_commands import Export, Film, KeepFrame, SaveState, TakePicture, WriteCamera, in_order
+from display.user_commands import (
+    Export,
+    Film,
+    KeepFrame,
+    LoadState,
+    SaveState,
+    SetLight,
+    TakePicture,
+    WriteCamera,
+    in_order,
+)
 
 
 class Keeper:
@@ -158,3 +173,64 @@ def full_picture(world, size: tuple[int, int] | None) -> np.ndarray:
         return pixels_of(world.picture)[: size[1]].copy()
     finally:
         world.resize(*now)
+
+
+def output_path(scene: str, ending: str, taken: Container[Path] = (), *, now: datetime | None = None) -> Path:
+    """A new name of scene and time in the current folder, or, if it cannot be written, in that of pictures.
+
+    `ending` is what follows them: ".png", "_camera.json". It is none of those `taken` for files that are still to come.
+    Raises BadInput if neither folder can be written.
+    """
+    stem = re.sub(r"[^\w.-]+", "_", Path(scene).stem) or "scene"
+    name = f"{stem}_{(now or datetime.now()).strftime('%Y-%m-%d_%H-%M-%S')}{ending}"
+    error: BadInput | None = None
+    for folder in (Path.cwd(), pictures_folder()):
+        path = unused_name(folder / name, taken)
+        try:
+            check_writable(path)
+            return path
+        except BadInput as e:
+            error = error or e
+    raise error
+
+
+def pictures_folder() -> Path:
+    """The user's folder of pictures; the home folder if there is none."""
+    home = Path.home()
+    return home / "Pictures" if (home / "Pictures").is_dir() else home
+
+
+class Remembered:
+    """The memory of a scene: `given` adds to the commands of its frames, `keep` notes its light at the end.
+
+    Without `light` that is none of its matters.
+    """
+
+    def __init__(self, preferences: Preferences, scene: str, *, light: bool):
+        self._preferences, self._scene, self._lit, self._fresh = preferences, scene, light, light
+
+    def given(self, frame: Frame, world) -> Frame:
+        """The frame, with the remembered light in the first one, and with the path of the last state to be loaded."""
+        commands = frame.commands
+        if any(isinstance(c, LoadState) and not c.path for c in commands):
+            last = self._preferences.get(f"state.{self._scene}", "")
+            commands = [replace(c, path=c.path or last) if isinstance(c, LoadState) else c for c in commands]
+        light = self._light() if self._fresh and world.light is not None else None
+        self._fresh = False
+        frame.commands = commands if light is None else [SetLight(light), *commands]
+        return frame
+
+    def _light(self) -> Light | None:
+        stored = self._preferences.get(f"light.{self._scene}", {})
+        try:
+            light = from_plain(Light, stored, "light")
+        except BadInput:
+            return None
+        sound = all(abs(x) < 1e3 for x in (*light.position, *light.target)) and light.position != light.target
+        return light if sound else None
+
+    def keep(self, world) -> None:
+        """Note the light that the user has left, if it is not the scene's own."""
+        own, now = world.scene.light, world.light
+        if self._lit and now is not None:
+            self._preferences.set(f"light.{self._scene}", None if now == own else to_plain(now))

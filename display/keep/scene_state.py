@@ -20,9 +20,9 @@ import numpy as np
 
 from assets.library import find_asset
 from core.errors import BadInput
-from display.edit.added_body import pieces_of
 from display.edit.body_registry import BodiesSnapshot, Member
 from display.keep.state_file import SavedAnimation, SavedBody, SavedGame, SceneState, Settings
+from display.scene_bodies import pieces_of
 from scenes.scene import Scene
 from sim.model import BodyModel
 from sim.state import MOTION

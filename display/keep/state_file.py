@@ -21,7 +21,7 @@ piece of what joined; whether it is a copy |
 | hands/poses, hands/history | (H,) int32, (P, 8) float64 | poses kept of each hand: age [s], position, rotation |
 | settings | (C,) uint8 | JSON |
 
-`settings`: time, owed (of a demo, not simulated yet) [s], gravity [m/s^2], time_scale, interaction, light (the fields of
+`settings`: time, owed (of a demo, to be simulated) [s], gravity [m/s^2], time_scale, interaction, light (the fields of
 a Light, or null), eye and target [m], room (4, 4: how far the user's has been turned), material_names (a list), game
 (its name, and its state as display/keep/scene_state.py encodes it), or null.
 """

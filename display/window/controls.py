@@ -11,10 +11,18 @@ import numpy as np
 from core.camera import Camera
 from core.vocabulary import BodyState, Hand
 from display import user_commands
-from display.edit.edit_steps import ROOM_STEP, rotation_step
 from display.preferences import Preferences, read_bookmarks
 from display.protocol import WorldView
-from display.user_commands import Command, Pause, PictureCommand, SaveState, SingleStep, last_of
+from display.user_commands import (
+    ROOM_STEP,
+    Command,
+    Pause,
+    PictureCommand,
+    SaveState,
+    SingleStep,
+    last_of,
+    rotation_step,
+)
 from display.window.key_bindings import bound
 from display.window.mouse import MIN_DEPTH, MouseHand, OrbitCamera
 from scenes.scene import Scene

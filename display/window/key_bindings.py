@@ -10,9 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from display import user_commands
-from display.edit.edit_steps import EDITS
 from display.protocol import WorldView
-from display.user_commands import Command
+from display.user_commands import EDITS, Command
 
 NAMES = {"plus": "+", "minus": "-", "comma": ",", "period": ".", "delete": "Del", "escape": "Esc"}  # else capitalised
 

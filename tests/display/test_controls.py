@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from core.camera import look_at, perspective, project
 from core.vocabulary import Hand, Light
 from display import user_commands
-from display.edit.edit_steps import SCALE_STEP, TURN_STEP
+from display.user_commands import SCALE_STEP, TURN_STEP
 from display.window.controls import Controls
 from display.window.mouse import MAX_PITCH, MAX_SPEED, MouseHand, OrbitCamera
 from tests.support.fake_world import RADIUS, BallWorld, fake_scene

@@ -21,7 +21,6 @@ from core.rotation import matrices_from_quaternions
 from core.spherical_harmonics import rotate_sh
 from core.tetmesh import tet_volumes
 from core.vocabulary import Body, Hand, Light, Plane
-from display.edit.edit_steps import rotation_step
 from display.keep.scene_export import ShownGaussians, exporter, moving_bodies, von_mises
 from display.keep.scene_state import located, put_state, state_of
 from display.keep.state_file import read_state, write_state
@@ -41,6 +40,7 @@ from display.user_commands import (
     SetMaterial,
     SetTimeScale,
     Undo,
+    rotation_step,
 )
 from render import MOVING_SORT
 from scenes.scene import Scene

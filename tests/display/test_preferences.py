@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from core.vocabulary import Light
-from display.keep.remembered import Remembered
+from display.keep.keeper import Remembered
 from display.preferences import Preferences, config_folder, read_bookmarks
 from display.protocol import Frame
 from display.user_commands import LoadState, SetLight, Undo

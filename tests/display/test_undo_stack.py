@@ -1,6 +1,6 @@
 """Taking back and doing again, without a world."""
 
-from display.edit.undo_stack import Step, UndoStack
+from display.edit.editor import Step, UndoStack
 
 
 class Counter:

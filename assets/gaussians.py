@@ -190,3 +190,19 @@ def drawable_gaussians(
         columns = [c[keep] for c in columns]
     columns[1] = columns[1] / np.linalg.norm(columns[1], axis=1, keepdims=True)
     return Gaussians.of(*columns, objects, sort)
+
+
+def robust_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) of all but the outermost 0.5 % of points (N, 3) on each side."""
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    return low, high
+
+
+def normals_and_areas(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
+    """Shortest axis (N, 3) of each Gaussian, of either sign, and the area pi s1 s2 of its disc [m^2], (N,)."""
+    scales = np.exp(g.log_scales.astype(np.float64))
+    order = np.argsort(scales, 1)
+    axes = matrices_from_quaternions(g.quats)
+    n = np.take_along_axis(axes, order[:, None, :1], 2)[..., 0]
+    s = np.take_along_axis(scales, order, 1)
+    return n, np.pi * s[:, 1] * s[:, 2]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from assets.environment import Environment
-from assets.gaussians import Gaussians
-from assets.level_planes import LEVEL_COS, find_floor_plane, normals_and_areas, weighted_percentile
+from assets.gaussians import Gaussians, normals_and_areas
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.planes import LEVEL_COS, weighted_percentile
 
 OPAQUE = 0.3  # fainter Gaussians are haze
 PLANE_REACH = 0.3  # [m] over and under a tilted plane's middle in which its level part is looked for
@@ -17,17 +17,6 @@ PLANE_SHARE = 0.3  # of a rectangle's area, at least, that must be level for it 
 PLACES = 25  # along each side of the floor, that are tried for a drop
 HEADROOM = (0.3, 0.6, 0.9)  # [m] over a drop at which there must be room
 EYE_FREE = 0.2  # [m] between the eye and what is solid
-
-
-def floor_of(gaussians: Gaussians) -> float:
-    """Height [m] of the largest level plane in the lower half. Raises BadInput where nothing is level."""
-    solid = gaussians.select(gaussians.opacities > OPAQUE)
-    normals, areas = normals_and_areas(solid)
-    level = np.abs(normals[:, 1]) > LEVEL_COS
-    if level.sum() < 10:
-        raise BadInput("nothing is level there: a room that is played in needs a floor")
-    areas = np.minimum(areas, np.percentile(areas, 99.0))  # a smear must not outweigh a floor
-    return find_floor_plane(solid.means[:, 1].astype(np.float64), level, areas)[0]
 
 
 def relevelled(turned: Environment, gaussians: Gaussians, grid: DistanceGrid, eye_height: float) -> Environment:

@@ -8,12 +8,13 @@ import numpy as np
 
 from assets.asset import Asset, Cage
 from assets.environment import Environment
-from assets.relevelled import floor_of, relevelled
-from assets.up_axis import SIZE_RANGE
+from assets.orientation import floor_height
+from assets.relevelled import relevelled
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import quaternions_from_matrices
 
+SIZE_RANGE = (0.01, 10.0)  # [m] largest extent of a body
 NODES_MAX = 40_000_000  # of a turned grid: 160 MB
 LEVEL = 1 - 1e-6  # least cosine of the vertical to itself where floors stay level
 
@@ -44,7 +45,7 @@ def reoriented(asset: Asset, rotation: np.ndarray, factor: float = 1.0) -> Asset
         cage = Cage((x + shift).astype(np.float32), cage.tets, cage.surface)
     tilted = asset.environment is not None and rotation[1, 1] < LEVEL
     if tilted:
-        shift = np.array([0.0, -floor_of(asset.gaussians.transformed(rotation, shift, factor)), 0.0])
+        shift = np.array([0.0, -floor_height(asset.gaussians.transformed(rotation, shift, factor)), 0.0])
     g = asset.gaussians.transformed(rotation, shift, factor)
     grid = None if asset.sdf is None else turned_grid(asset.sdf, rotation, factor, shift)
     environment = asset.environment and turned_environment(asset.environment, rotation, factor, shift)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from assets.gaussians import Gaussians
-from assets.up_axis import guess_up_axis, rotation_to_up
+from assets.orientation import guess_up_axis, rotation_to_up
 from core.errors import BadInput
 from display.mark.mark_edit import Mark, MarkEdit, MarkState
 from display.mark.mark_window import FreeView

@@ -70,10 +70,10 @@ def run(args: argparse.Namespace) -> None:
         print((cached_environment if args.static else cached_body)(args.splats, args))
         return
     from prepare.environment.environment_pipeline import EnvironmentOptions
-    from prepare.orientation.orientation_strip import strip_name
     from prepare.pipeline import Options
     from prepare.preparation_report import report_names
     from prepare.prepared_files import device_vertices, object_file, prepare_environment_file, prepare_file
+    from prepare.report_pictures import strip_name
 
     out = Path(args.out)
     cut = tuple(sorted(set(args.cut or ())))

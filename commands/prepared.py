@@ -181,7 +181,7 @@ def cached_environment(splats: Path, args: argparse.Namespace) -> Path:
 def _ask_up(splats: Path, prepared: Path) -> None:
     """Say again, of what was prepared earlier, that its up axis was not sure, unless the user has turned it since."""
     from assets.hdf5 import open_hdf5
-    from prepare.orientation.orientation_strip import question
+    from assets.orientation import question
 
     with open_hdf5(prepared) as file:
         provenance = file.json("", "provenance")

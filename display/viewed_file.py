@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from assets.gaussians import Gaussians
+from assets.orientation import alternatives, rotation_to_up
 from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
-from assets.up_axis import alternatives, rotation_to_up
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.morton import morton_order
@@ -159,7 +159,7 @@ def turned_up(path, up: str | None) -> tuple[Gaussians, dict[str, float]]:
 
     Out.  the probabilities of the axes that may point up, the one that was taken first
     """
-    from assets.up_axis import up_probabilities
+    from assets.orientation import up_probabilities
 
     gaussians = read_gaussians(path)
     if up is None and not str(path).lower().endswith(".h5"):

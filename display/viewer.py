@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.gaussians import Gaussians
-from assets.up_axis import alternatives, rotation_to_up
+from assets.orientation import alternatives, rotation_to_up
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.measured_length import scale_between

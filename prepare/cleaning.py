@@ -6,8 +6,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, generate_binary_structure, label
 from scipy.spatial import cKDTree
 
-from assets.gaussians import Gaussians
-from assets.up_axis import robust_bounds
+from assets.gaussians import Gaussians, robust_bounds
 from core.errors import BadInput
 
 OPACITY_MIN = 0.01  # at most 2.5 of 255 grey levels

@@ -11,7 +11,8 @@ import numpy as np
 
 from assets.asset import Asset, Cage, CageEmbedding
 from assets.gaussians import Gaussians
-from assets.up_axis import body_size, most_likely, rotation_to_up, up_probabilities
+from assets.orientation import FRONT_SURE, front_of, most_likely, rotation_to_up, turned_about_up, up_probabilities
+from assets.reoriented import SIZE_RANGE
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, Material
@@ -37,12 +38,14 @@ from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, vol
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
 from prepare.cleaning import clean, clean_components
-from prepare.orientation.body_front import FRONT_SURE, front_of, turned_about_up
 from prepare.own_weight import suitable_material
 from prepare.progress import Progress, no_progress
 from prepare.standing import flap_of
 
 VERSION = 9  # of the pipeline's results; raise it when the same splat would give another asset
+
+PLAUSIBLE_SIZE = (0.05, 0.6)  # [m] largest extent of objects for the hand; beyond, units are arbitrary
+DEFAULT_SIZE = 0.25  # [m]
 
 STEPS = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
 
@@ -175,6 +178,18 @@ def prepare(
     return Asset(g, cage, embedded, grid, material, provenance)
 
 
+def body_size(longest: float, scale: float | None) -> float:
+    """Size [m] of an object with the largest extent `longest` in the file: `scale` if given, else that if plausible.
+
+    Raises BadInput.
+    """
+    if scale is None:
+        return longest if PLAUSIBLE_SIZE[0] <= longest <= PLAUSIBLE_SIZE[1] else DEFAULT_SIZE
+    if not SIZE_RANGE[0] <= scale <= SIZE_RANGE[1]:
+        raise BadInput(f"a size of {scale:g} m is out of range ({SIZE_RANGE[0]} to {SIZE_RANGE[1]:g})")
+    return float(scale)
+
+
 def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress) -> dict[str, np.ndarray]:
     """The object's own Gaussians rotated to +y up, as arrays; `cluster` is the connected component of each (N,)."""
     progress("clean", 0.0)
@@ -184,14 +199,14 @@ def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress)
         g, counts = clean(gaussians)
         cluster = np.zeros(len(g), int)
     progress("orient", 0.0)
-    chances = up_probabilities(g, kind="body") if options.up is None else {options.up: 1.0}
+    chances = up_probabilities(g) if options.up is None else {options.up: 1.0}
     up, sure = most_likely(chances)
     turned, front = g.transformed(rotation_to_up(up)), {}
     if options.front is None:
-        guess = front_of(turned)
-        turn = turned_about_up(-guess.angle) if guess.sure >= FRONT_SURE else np.eye(3)
-        front = {"angle": round(float(np.degrees(guess.angle)), 1), "sure": round(guess.sure, 2)}
-        front["turned"] = guess.sure >= FRONT_SURE
+        angle, front_sure = front_of(turned)
+        turn = turned_about_up(-angle) if front_sure >= FRONT_SURE else np.eye(3)
+        front = {"angle": round(float(np.degrees(angle)), 1), "sure": round(front_sure, 2)}
+        front["turned"] = front_sure >= FRONT_SURE
     else:
         turn = turned_about_up(np.radians(options.front))
     turned = turned.transformed(turn)

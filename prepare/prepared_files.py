@@ -13,8 +13,8 @@ from assets.asset import Asset
 from assets.file_access import atomic_write_all
 from assets.formats.ply import write_ply
 from assets.images import thumbnail_of
+from assets.orientation import describe_guess, question
 from assets.splat_files import read_gaussians
-from assets.up_axis import describe_guess
 from core.errors import BadInput
 from core.report import png_of
 from prepare import own_weight
@@ -22,11 +22,10 @@ from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
 from prepare.environment.clear_view import CLEAR
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
-from prepare.orientation.orientation_strip import orientation_strip, question, strip_name
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.preparation_report import report_names, report_texts
 from prepare.progress import Progress, progress_on
-from prepare.report_pictures import camera_for, splat_picture
+from prepare.report_pictures import camera_for, orientation_strip, splat_picture, strip_name
 from prepare.rig.rigging import described, is_skinned, rig_source
 from prepare.standing import stood_up
 

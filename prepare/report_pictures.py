@@ -3,10 +3,14 @@ algorithm, flat shading, 2x supersampling."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
 from assets.asset import Asset
+from assets.gaussians import Gaussians, robust_bounds
+from assets.orientation import alternatives, rotation_to_up
 from core.camera import Camera, look_at, perspective
 from core.tetmesh import boundary_surface, face_components
 from prepare.cage.level_set import ComponentSolid
@@ -17,6 +21,9 @@ ELEVATION, AZIMUTH = 0.35, 0.6  # [rad] of the camera above the floor, and from 
 FRAME_MARGIN = 1.06  # of the body's half diagonal, shown to each side
 MAX_DRAWN_CELLS = 56  # drawn on the longest side; more cannot be told apart
 MAX_DOTS = 15_000  # Gaussians in the picture of the enclosure
+
+STRIP_WIDTH, STRIP_HEIGHT, STRIP_FOOT = 240, 220, 34  # [px] of a picture in the strip, and of the line under it
+STRIP_OPAQUE = 0.3  # fainter Gaussians are not framed
 
 CLAY, BLUE, GREY, RED = (214, 142, 108), (132, 172, 214), (206, 203, 198), (200, 40, 40)
 SKIN, FLESH, WIRE = (226, 196, 150), (120, 166, 172), (70, 66, 62)
@@ -47,6 +54,31 @@ def splat_picture(asset: Asset, camera: Camera) -> np.ndarray:
     renderer = Renderer(Splats(asset.gaussians), camera.width, camera.height, background=background)
     renderer.render([camera])
     return renderer.pixels()[0][..., :3].copy()
+
+
+def strip_name(out: Path) -> Path:
+    """Path of the orientation strip of the asset `out`: ASSET.up.png."""
+    return out.with_suffix(".up.png")
+
+
+def orientation_strip(gaussians: Gaussians, up: str, probabilities: dict[str, float]) -> np.ndarray:
+    """Pictures (H, W, 3) uint8 of each axis that may point up with its option, most probable first.
+
+    up  the axis of the file that points to +y in `gaussians`
+    Taichi must be running.
+    """
+    pages = []
+    for other in alternatives(probabilities):
+        turned = gaussians.transformed(rotation_to_up(other) @ rotation_to_up(up).T)
+        opaque = turned.opacities > STRIP_OPAQUE
+        seen = (turned.means[opaque] if opaque.any() else turned.means).astype(np.float64)
+        camera = camera_for(seen.clip(*robust_bounds(seen)), STRIP_WIDTH, STRIP_HEIGHT)
+        page = np.full((STRIP_HEIGHT + STRIP_FOOT, STRIP_WIDTH, 3), PAPER, np.uint8)
+        page[:STRIP_HEIGHT] = splat_picture(Asset(turned), camera)
+        text, ink = f"--up {other}   {probabilities[other]:.0%}", (40, 38, 36)
+        cv2.putText(page, text, (12, STRIP_HEIGHT + 22), ink, cv2.FontFace("sans"), 17, 500)
+        pages.append(page)
+    return np.concatenate(pages, axis=1)
 
 
 def cells_picture(solids: list[ComponentSolid], camera: Camera) -> np.ndarray:

@@ -13,23 +13,21 @@ import numpy as np
 
 from assets.asset import Asset
 from assets.environment import Environment
-from assets.gaussians import Gaussians
-from assets.level_planes import AXES
-from assets.up_axis import most_likely, robust_bounds, up_probabilities
+from assets.gaussians import Gaussians, normals_and_areas, robust_bounds
+from assets.orientation import AXES, find_gravity, most_likely, up_probabilities
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.planes import LEVEL_COS
 from prepare.cleaning import MIN_GAUSSIANS, cut_out, largest_component
 from prepare.environment.clear_view import clearest
 from prepare.environment.spawn_points import drop_point, standing_eyes
 from prepare.environment.support_planes import (
-    LEVEL_COS,
     SupportPlane,
-    find_gravity,
     floor_under,
     relative_to_floor,
     support_planes,
 )
-from prepare.environment.surfels import SURFACE_OPACITY, Surfels, haze, normals_and_areas, surfels, without_floaters
+from prepare.environment.surfels import SURFACE_OPACITY, Surfels, haze, surfels, without_floaters
 from prepare.environment.visibility import VoxelGrid, open_space, oriented, viewers_in
 from prepare.environment.winding_number import COARSENING, WindingNumber, signed_distance, winding_number
 from prepare.progress import Progress, no_progress
@@ -198,7 +196,7 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     """Level the scene by its floor, scale it to metres and cut objects out."""
     normals, areas = normals_and_areas(main)
     weights = np.minimum(areas, float(np.percentile(areas, 99)))  # a smear must not outweigh a floor
-    chances = up_probabilities(main, kind="scene") if options.up is None else {options.up: 1.0}
+    chances = up_probabilities(main) if options.up is None else {options.up: 1.0}
     up, _ = most_likely(chances)
     floor, rotation = find_gravity(main.means.astype(np.float64), normals, weights, up)
     level = main.means.astype(np.float64) @ rotation.T

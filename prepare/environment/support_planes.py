@@ -1,4 +1,4 @@
-"""Support planes of a static scene: the direction of gravity, the floor, and level planes that can carry a body."""
+"""Support planes of a static scene: the floor, and level planes that can carry a body."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, label
 
-from assets.level_planes import LEVEL_COS, find_floor_plane, refine_direction, weighted_percentile
-from assets.up_axis import rotation_to_up
 from core.errors import BadInput
+from core.planes import LEVEL_COS
 
 CELL = 0.04  # [m] of a plane's mask
 BIN = 0.01  # [m] of the histogram of heights
@@ -18,7 +17,6 @@ MIN_PLANE_AREA = 0.06  # [m^2] of a plane that can carry something
 HEIGHTS = (0.08, 2.2)  # [m] above the floor, of tables and shelves
 MAX_BOARD = 0.09  # [m] thickness; a plane this little under another is its underside
 GROUND_AREA, GROUND_DEPTH = 2.0, 0.3  # [m^2] of a plane that a table stands on, and [m] under it at least
-LEAN_COS = np.cos(np.radians(32.0))  # of a floor against the file's axis; beyond, another axis is nearer, or a wall
 TABLE_HEIGHTS, TABLE_AREA = (0.3, 1.2), 0.25  # [m], and [m^2] at least; other planes are shelves
 
 
@@ -53,53 +51,6 @@ class SupportPlane:
         found = np.zeros(len(points), bool)
         found[within] = self.mask[tuple(i[within].T)]
         return found
-
-
-def find_gravity(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up: str) -> tuple[float, np.ndarray]:
-    """Height of the floor along the true vertical, and the levelling rotation (3, 3), near the axis `up` of the file.
-
-    points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights. An axis of the file is refined
-    to the level planes, as cameras are seldom held straight. Raises BadInput
-    for an unknown axis, or where there is no floor.
-    """
-    turn = rotation_to_up(up)
-    direction = refine_direction(turn[1], normals, areas)
-    heights = points @ direction
-    floor = find_floor_plane(heights, np.abs(normals @ direction) > LEVEL_COS, areas)[0]
-    floor, direction = fit_floor(points, normals, areas, floor, direction)
-    if direction @ turn[1] < LEAN_COS:
-        raise BadInput(
-            "what is most nearly level leans too much to be a floor (--up names another axis; "
-            "with its photographs, vrgs.py capture needs no floor)"
-        )
-    return floor, rotation_to_y(turn @ direction) @ turn
-
-
-def fit_floor(points, normals, areas, floor: float, direction: np.ndarray) -> tuple[float, np.ndarray]:
-    """Plane through the level points near a floor: repeated least squares over ever nearer points."""
-    heights = points @ direction
-    limit = 0.02 * np.ptp(weighted_percentile(heights, areas, (0.2, 99.8)))
-    for _ in range(8):
-        off = points @ direction - floor
-        own = (np.abs(off) < limit) & (np.abs(normals @ direction) > LEVEL_COS)
-        if own.sum() < 10:
-            break
-        w = areas[own] / areas[own].sum()
-        centre = w @ points[own]
-        centred = points[own] - centre
-        found = np.linalg.eigh((w[:, None] * centred).T @ centred)[1][:, 0]
-        direction = found * np.sign(found @ direction)
-        floor = float(centre @ direction)
-        spread = np.sqrt(w @ (centred @ direction) ** 2)
-        limit = max(2.5 * spread, 0.3 * limit)
-    return floor, direction
-
-
-def rotation_to_y(direction: np.ndarray) -> np.ndarray:
-    """Smallest rotation (3, 3) that takes the unit vector `direction` to +y."""
-    v = np.cross(direction, [0.0, 1.0, 0.0])
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + direction[1])
 
 
 def support_planes(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) -> list[SupportPlane]:

@@ -8,8 +8,7 @@ from itertools import product
 import numpy as np
 from scipy.ndimage import find_objects, label
 
-from assets.gaussians import Gaussians
-from assets.level_planes import normals_and_areas
+from assets.gaussians import Gaussians, normals_and_areas
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 

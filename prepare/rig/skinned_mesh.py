@@ -12,7 +12,7 @@ from assets.animation import decompose, local_matrices, world_matrices
 from assets.asset import Asset
 from assets.formats.gltf_skin import Rig, SkinnedMesh, linear_from_srgb, srgb_from_linear
 from assets.gaussians import Gaussians
-from assets.up_axis import rotation_to_up
+from assets.orientation import rotation_to_up
 from core.errors import BadInput
 from core.point_location import TetLocator
 from core.spherical_harmonics import C0

@@ -9,9 +9,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from assets.asset import Asset, Cage
-from assets.gaussians import Gaussians
+from assets.gaussians import Gaussians, robust_bounds
 from assets.room_folder import RoomObject
-from assets.up_axis import robust_bounds
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, MATERIALS, Material
 from core.rotation import quaternions_from_matrices, rotation_between

@@ -14,8 +14,8 @@ from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from prepare.cleaning import MIN_GAUSSIANS
-from prepare.orientation.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.progress import Progress, no_progress
+from prepare.room_capture.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
 from prepare.room_capture.contributions import Contributions, contributions, depth_at, needed, weights_in_masks
 from prepare.room_capture.objects import SOLID, Support, object_body, object_files, support_of

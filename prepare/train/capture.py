@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.orientation import up_of_cameras
 from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import rotation_between
-from prepare.orientation.camera_up import up_of_cameras
 
 SIDE_MAX = 16384  # [px]
 ASPECT_TOLERANCE = 0.01  # between an image and its camera: sizes of reduced copies are rounded

@@ -7,11 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.gaussians import concatenate
+from assets.orientation import support_plane, up_of_cameras
 from core.camera import look_at
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
-from prepare.orientation.camera_up import up_of_cameras
-from prepare.orientation.capture_orientation import capture_orientation, support_plane
+from prepare.room_capture.capture_orientation import capture_orientation
 from prepare.train.capture import Capture, View
 from tests.support.sample_scenes import TABLE, brick, legs, sheet
 
@@ -127,7 +127,7 @@ def test_a_plane_under_the_largest_is_the_floor_if_it_is_not_much_smaller(side, 
     ]
     places = np.array([-p[:3, :3].T @ p[:3, 3] for p in orbit(rng, 20, 2 * np.pi, 0.8)]) + [0, 0.7, 0]
     up = np.array([0.0, 1.0, 0.0])
-    found = support_plane(concatenate(planes), places, np.array([0.0, 0.7, 0.0]), up, 0.02)
+    found = support_plane(concatenate(planes), places, up, 0.02)
     assert found[1] == pytest.approx(height, abs=0.02)
 
 
@@ -137,7 +137,7 @@ def test_a_bare_floor_is_a_plane(rough):
     rng = np.random.default_rng(1)
     places = np.array([-p[:3, :3].T @ p[:3, 3] for p in orbit(rng, 20, 2 * np.pi, 1.5)])
     floor = sheet(rng, (-2, 0, 2), (4, 0, 0), (0, 0, -4), 0.06, rough)
-    normal, height = support_plane(floor, places, np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.02)
+    normal, height = support_plane(floor, places, np.array([0.0, 1.0, 0.0]), 0.02)
     assert degrees_apart(normal, (0.0, 1.0, 0.0)) < 0.3 and abs(height) < 0.1 * rough + 1e-3
 
 

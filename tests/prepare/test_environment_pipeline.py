@@ -11,13 +11,12 @@ from scipy.ndimage import map_coordinates
 
 from assets.asset import Asset
 from assets.environment import Environment
-from assets.gaussians import Gaussians
+from assets.gaussians import Gaussians, normals_and_areas
+from assets.orientation import find_gravity, guess_up_axis
 from assets.splat_files import read_gaussians, write_gaussians
-from assets.up_axis import guess_up_axis
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import EnvironmentOptions, prepare_environment
-from prepare.environment.support_planes import find_gravity
-from prepare.environment.surfels import SURFACE_OPACITY, Surfels, normals_and_areas, surfels
+from prepare.environment.surfels import SURFACE_OPACITY, Surfels, surfels
 from prepare.environment.winding_number import blended_planes, signed_distance, winding_number
 from prepare.prepared_files import prepare_environment_file
 from scenes import registry

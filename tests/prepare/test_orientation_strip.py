@@ -6,17 +6,14 @@ import cv2
 import numpy as np
 
 from assets.formats.ply import write_ply
-from prepare.orientation.orientation_strip import HEIGHT, WIDTH, orientation_strip, question, strip_name
 from prepare.pipeline import Options
 from prepare.prepared_files import prepare_file, tell_alternatives
+from prepare.report_pictures import STRIP_HEIGHT as HEIGHT
+from prepare.report_pictures import STRIP_WIDTH as WIDTH
+from prepare.report_pictures import orientation_strip, strip_name
 from tests.support.shells import ring, toy
 
 CHANCES = {"-y": 0.5, "+y": 0.3, "+z": 0.19, "-z": 0.01}
-
-
-def test_the_question_names_options_and_is_not_asked_when_sure():
-    assert question(CHANCES) == "which way is up is not sure: --up -y 50%, --up +y 30%, --up +z 19%"
-    assert question({"-y": 0.97, "+y": 0.03}) == ""
 
 
 def test_each_picture_shows_the_thing_with_its_axis_up(ti_cpu):

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 from assets.asset import Asset
 from assets.gaussians import Gaussians, concatenate
+from assets.orientation import AXES, alternatives, guess_up_axis, rotation_to_up, up_probabilities
 from assets.splat_files import read_gaussians, write_gaussians
-from assets.up_axis import AXES, alternatives, body_size, guess_up_axis, rotation_to_up, up_probabilities
 from commands.prepare import run
 from core.errors import BadInput
 from core.material import MATERIALS
@@ -19,7 +19,7 @@ from core.tetmesh import face_components, tet_volumes
 from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
 from prepare.checkpoints import gaussians_of
 from prepare.cleaning import clean
-from prepare.pipeline import STEPS, Options, clean_and_orient, prepare
+from prepare.pipeline import STEPS, Options, body_size, clean_and_orient, prepare
 from prepare.prepared_files import prepare_file
 from prepare.progress import no_progress
 from tests.support.shells import ball, ring, shell, toy

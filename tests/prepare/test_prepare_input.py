@@ -9,9 +9,8 @@ import pytest
 
 import vrgs
 from assets.asset import Asset
-from assets.gaussians import concatenate
+from assets.gaussians import concatenate, robust_bounds
 from assets.splat_files import write_gaussians
-from assets.up_axis import robust_bounds
 from commands.prepared import cached_body, wanted_vertices
 from core.errors import BadInput
 from prepare.pipeline import Options

@@ -1,28 +1,31 @@
-"""Up axis: known scenes and a cup, downloaded splats, confidence against frequency; and poses of rest of a box."""
+"""Which way is up: known scenes, downloaded splats, confidence; and the front of a body."""
 
 import numpy as np
 import pytest
 
+from assets.asset import Asset
 from assets.gaussians import Gaussians
-from assets.level_planes import hollow_columns
-from assets.splat_files import read_gaussians
-from assets.up_axis import (
+from assets.library import find_asset
+from assets.orientation import (
     AXES,
+    FRONT_SURE,
     LAPSE,
-    WEIGHTS,
     alternatives,
     describe_guess,
+    front_of,
     guess_up_axis,
-    probabilities_from,
-    robust_bounds,
+    question,
     rotation_to_up,
+    turned_about_up,
     up_probabilities,
 )
-from assets.up_cues import DIRECTIONS, outermost_points, resting_heights
+from assets.splat_files import read_gaussians
 from prepare.cleaning import clean
+from prepare.pipeline import Options, clean_and_orient
+from prepare.progress import no_progress
 from tests.support.cage_cases import case
 from tests.support.sample_scenes import brick, garden, room, table_and_jug
-from tests.support.shells import ball, toy
+from tests.support.shells import ball
 
 EVEN = dict.fromkeys(AXES, 1 / 6)
 SCENES = {"room": room, "open room": lambda: room(ceiling=False), "garden": garden, "table": table_and_jug}
@@ -42,7 +45,7 @@ def test_a_scene_stands_on_its_floor_whatever_axis_is_up(scenes, name):
     """Walls, a shelf and a chest do not mislead."""
     g = every(scenes[name], 3)
     for up in AXES:
-        p = up_probabilities(g.transformed(rotation_to_up(up).T), EVEN, "scene")
+        p = up_probabilities(g.transformed(rotation_to_up(up).T), EVEN)
         assert max(p, key=p.get) == up and p[up] > 0.4, (up, p)
 
 
@@ -59,17 +62,6 @@ def test_what_misleads_makes_unsure():
     assert "+y" in alternatives(p) and len(alternatives(p)) > 1
 
 
-@pytest.mark.parametrize("made", [ball, toy, lambda: case("capsule", 6000)])
-def test_what_was_not_looked_into_is_not_hollow(made):
-    """A shell without its underside is as empty from below as a cup, but its wall has one face."""
-    points = made().means.astype(np.float64)
-    low, high = robust_bounds(points)
-    for axis in range(3):
-        hits = outermost_points(points, axis, low, float((high - low).max()))
-        for sign, hit in zip((-1, 1), hits, strict=True):
-            assert not hollow_columns(points, points[hit], axis, sign, float((high - low).max())).any()
-
-
 def test_how_sure_a_guess_is_is_said():
     assert describe_guess("-z", 0.514) == "-z (guessed, 51% sure; --up overrides)"
     p = up_probabilities(case("capsule", 6000))
@@ -78,40 +70,29 @@ def test_how_sure_a_guess_is_is_said():
     assert alternatives(dict.fromkeys(AXES, 0.02) | {"-y": 0.9}) == ["-y"]
 
 
+def test_the_question_names_options_and_is_not_asked_when_sure():
+    chances = {"-y": 0.5, "+y": 0.3, "+z": 0.19, "-z": 0.01}
+    assert question(chances) == "which way is up is not sure: --up -y 50%, --up +y 30%, --up +z 19%"
+    assert question({"-y": 0.97, "+y": 0.03}) == ""
+
+
+@pytest.mark.parametrize("up", AXES)
+def test_an_axis_is_turned_up_by_the_smallest_rotation(up):
+    turn = rotation_to_up(up)
+    np.testing.assert_allclose(turn @ AXES[up], (0.0, 1.0, 0.0), atol=1e-12)
+    assert np.linalg.det(turn) == pytest.approx(1.0)
+    assert np.trace(turn) == pytest.approx({"+y": 3.0, "-y": -1.0}.get(up, 1.0))
+
+
 def test_no_guess_is_surer_than_the_lapses_of_the_model_leave_it():
     """A table on its legs is beyond doubt, but the cues may mean nothing there."""
-    assert max(up_probabilities(table_and_jug(), EVEN).values()) <= 1 - min(LAPSE.values()) * 5 / 6 + 1e-12
-
-
-def test_what_one_model_alone_can_tell_counts_of_a_kind_that_is_not_known():
-    """A missing underside tells a body's up, and nothing about a scene; the mean of 96% and 13% would be a toss-up."""
-    cues = {up: dict.fromkeys(WEIGHTS["body"], 0.0) for up in AXES}
-    cues["+y"]["open"] = 1.0
-    body, scene, either = (probabilities_from(cues, EVEN, kind)["+y"] for kind in ("body", "scene", None))
-    assert scene < 0.2 and 0.85 < either < body
-
-
-def test_a_thing_rests_on_the_sides_it_can_lie_on():
-    """The height of a box's centre is least where one of its sides is below, and is half the box there."""
-    half = np.array([0.3, 0.1, 0.2])
-    points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
-    points[np.arange(4000), np.random.default_rng(1).integers(0, 3, 4000)] = np.random.default_rng(2).choice(
-        [-1, 1], 4000
-    )
-    heights, longest = resting_heights(points * half)
-    assert longest == pytest.approx(0.6, rel=0.02)
-    for axis in range(3):
-        for sign in (1, -1):
-            near = DIRECTIONS @ (sign * np.eye(3)[axis]) > np.cos(np.radians(8.0))  # they lie about that far apart
-            assert heights[near].min() == pytest.approx(half[axis], abs=0.05)
-    corner = DIRECTIONS @ (np.ones(3) / np.sqrt(3)) > 0.99
-    assert heights[corner].min() > 0.3  # it stands on a corner, and would fall
+    assert max(up_probabilities(table_and_jug(), EVEN).values()) <= 1 - LAPSE * 5 / 6 + 1e-12
 
 
 @pytest.mark.parametrize("name", ["toy_cat", "plush_dragon", "biker_human"])
 def test_downloaded_splats_stand_on_their_feet(name, shared):
     """None of which the model was fitted to."""
-    found = guess_up_axis(read_gaussians(shared / f"data/splats/{name}.ply"), "body")
+    found = guess_up_axis(read_gaussians(shared / f"data/splats/{name}.ply"))
     assert found[0] == {"toy_cat": "-y", "plush_dragon": "+y", "biker_human": "-y"}[name] and found[1] > 0.6
 
 
@@ -127,3 +108,37 @@ def test_what_looks_the_same_from_all_sides_is_not_sure():
         means, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), -4.0), np.full(n, 3.0), np.zeros((n, 1, 3))
     )
     assert guess_up_axis(g)[1] < 0.6 and len(alternatives(up_probabilities(g))) > 1
+
+
+def toy(name: str, degrees: float):
+    """A shipped body, whose front is +z, turned about the vertical."""
+    return Asset.load(find_asset(name)).gaussians.transformed(turned_about_up(np.radians(degrees)))
+
+
+@pytest.mark.parametrize(("name", "degrees"), [("toy_penguin", 130.0), ("sheep", -75.0)])
+def test_the_front_is_found_however_a_body_is_turned(name, degrees):
+    angle, sure = front_of(toy(name, degrees))
+    off = (np.degrees(angle) - degrees + 180.0) % 360.0 - 180.0
+    assert abs(off) <= 10.0 and sure > 0.9
+
+
+def test_a_body_without_a_front_keeps_that_of_its_file():
+    """A plain ball is alike from all sides."""
+    assert front_of(ball())[1] < FRONT_SURE
+
+
+def test_preparing_turns_the_front_to_the_player_or_by_what_is_asked():
+    """None: the guess, which the provenance tells; a number: degrees; by default nothing."""
+    g = toy("toy_penguin", 100.0)
+    height = np.percentile(g.means[:, 1], 50)
+
+    def ahead(**options) -> np.ndarray:
+        """Direction of the upper half's middle with what was +x before."""
+        found = clean_and_orient(g, Options(up="+y", **options), no_progress)
+        return found["means"][found["means"][:, 1] > height]
+
+    as_it_is, turned = ahead(), ahead(front=-100.0)
+    np.testing.assert_allclose(as_it_is @ turned_about_up(np.radians(-100.0)).T, turned, atol=1e-5)
+    guessed = ahead(front=None)
+    cosine = (guessed * turned)[:, [0, 2]].sum() / np.sum(turned[:, [0, 2]] ** 2)
+    assert cosine > np.cos(np.radians(10.0))

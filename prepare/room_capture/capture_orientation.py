@@ -7,20 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from assets.gaussians import Gaussians
-from assets.level_planes import LEVEL_COS, find_floor_plane, normals_and_areas, refine_direction
+from assets.orientation import OPAQUE, support_plane, up_of_cameras
 from core.errors import BadInput
 from core.measured_length import scale_between
 from core.rotation import rotation_between
-from prepare.environment.support_planes import fit_floor
-from prepare.orientation.camera_up import up_of_cameras
 from prepare.train.capture import Capture
 
-SURFACE_OPACITY = 0.3  # fainter Gaussians are haze
 REACH = 2.5  # in distances of the cameras from what they look at; what is farther away is background
-AGREEMENT, AGREEMENT_MIN, AGREEMENT_MAX = 2.5, np.radians(3.0), np.radians(30.0)  # plane to cameras, in errors; [rad]
 PLANE_ERROR = np.radians(0.5)  # of a plane's normal, fitted to thousands of Gaussians
-PLANE_SHARE = 0.04  # a support plane has at least this share of the area of all Gaussians below the cameras
-LOWER_SHARE = 0.25  # a level plane under it with this share of its area is the floor, the upper one a table
 EYE_HEIGHT, EYE_SPREAD = 1.5, 1.35  # [m] of a camera held by a standing person, and a factor for those who stoop
 VIEW_DISTANCE, VIEW_SPREAD = 1.5, 2.5  # [m] to the subject if no floor was seen: a rough guess
 FRONT_MIN = 0.35  # mean resultant length of the viewing directions; below it the cameras go all around
@@ -98,28 +92,33 @@ def capture_orientation(
     places = np.array([v.position for v in capture.views])
     found = up_of_cameras(poses)
     target = capture.looked_at()
-    up, error, planes = found.direction, found.error, None
-    if gaussians is not None:
-        planes = support_plane(gaussians, places, target, up, error)
-    if planes is not None:
-        up, error = planes[0], PLANE_ERROR
+    up, error, plane = found.direction, found.error, None
+    near = None if gaussians is None else near_gaussians(gaussians, places, target)
+    if near is not None:
+        plane = support_plane(near, places, up, error)
+    if plane is not None:
+        up, error = plane[0], PLANE_ERROR
     upright = rotation_between(up, (0.0, 1.0, 0.0))
     turn, front_from = _front(poses, upright)
     rotation = turn @ upright
-    height = np.median(places @ up) - planes[1] if planes is not None else None
     if measured is not None or length is not None:
         scale, scale_from, spread = measured_scale(measured, length), "measured", 1.0
-    elif height is not None:
-        scale, scale_from, spread = EYE_HEIGHT / height, "eye height", EYE_SPREAD
+    elif plane is not None:
+        scale, scale_from, spread = EYE_HEIGHT / (np.median(places @ up) - plane[1]), "eye height", EYE_SPREAD
     else:
         away = float(np.median(np.linalg.norm(places - target, axis=1)))
         scale, scale_from, spread = VIEW_DISTANCE / max(away, 1e-9), "viewing distance", VIEW_SPREAD
-    floor = planes[1] if planes is not None else lowest_surface(gaussians, places, target, up)
+    if plane is not None:
+        floor = plane[1]
+    else:  # the lowest surface, below which there is hardly anything
+        floor = float(np.percentile(near.means @ up, 1.0)) if near is not None and len(near) else float(target @ up)
     shift = -scale * (rotation @ target)
     shift[1] = -scale * floor
-    plane = "support plane" if planes is not None else "cameras"
-    how = (plane, scale_from, spread, front_from, planes is not None)
-    return CaptureOrientation(rotation, float(scale), shift, up, float(error), *how)
+    up_from = "cameras" if plane is None else "support plane"
+    seen = plane is not None
+    return CaptureOrientation(
+        rotation, float(scale), shift, up, float(error), up_from, scale_from, spread, front_from, seen
+    )
 
 
 def measured_scale(measured, length: float | None) -> float:
@@ -133,57 +132,7 @@ def near_gaussians(gaussians: Gaussians, places: np.ndarray, target: np.ndarray)
     """The opaque Gaussians near what the cameras at `places` (V, 3) look at and where they stand: no background."""
     middle = 0.5 * (target + places.mean(0))
     reach = REACH * np.linalg.norm(places - middle, axis=1).max()
-    return gaussians.select(
-        (gaussians.opacities > SURFACE_OPACITY) & (np.linalg.norm(gaussians.means - middle, axis=1) < reach)
-    )
-
-
-def support_plane(
-    gaussians: Gaussians, places: np.ndarray, target: np.ndarray, up: np.ndarray, error: float
-) -> tuple[np.ndarray, float] | None:
-    """Normal (3,) of the largest level plane below the cameras, and the height along it of the floor.
-
-    The floor is that plane, or one under it that is not much smaller. None: there is no plane, or none that agrees with
-    the cameras' vertical `up` with its `error` [rad].
-    """
-    near = near_gaussians(gaussians, places, target)
-    below = near.means @ up < np.percentile(places @ up, 5.0)
-    if below.sum() < 100:
-        return None
-    near = near.select(below)
-    points = near.means.astype(np.float64)
-    normals, areas = normals_and_areas(near)
-    areas = np.minimum(areas, np.percentile(areas, 99.0))  # a smear must not outweigh a floor
-    size = 2.0 * float(np.percentile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 95.0))
-    direction = refine_direction(up, normals, areas)
-    for _ in range(2):  # the height of a leaning plane is known only once it is level
-        level = np.abs(normals @ direction) > LEVEL_COS
-        height, share, _ = largest_level_plane(points @ direction, level, areas, size)
-        height, direction = fit_floor(points, normals, areas, height, direction)
-    apart = np.arccos(np.clip(direction @ up, -1.0, 1.0))
-    if share < PLANE_SHARE or apart > np.clip(AGREEMENT * error, AGREEMENT_MIN, AGREEMENT_MAX):
-        return None
-    heights, level = points @ direction, np.abs(normals @ direction) > LEVEL_COS
-    gap = 0.15 * (np.median(places @ direction) - height)
-    under = heights < height - gap
-    if under.sum() > 100 and level[under].any():
-        lower, part, _ = find_floor_plane(heights[under], level[under], areas[under], size)
-        if part * areas[under].sum() > LOWER_SHARE * share * areas.sum():
-            height = lower
-    return direction, float(height)
-
-
-def largest_level_plane(heights, level, areas, size: float) -> tuple[float, float, float]:
-    """As `find_floor_plane`, of all heights: the halves of the range are searched one after the other."""
-    lower = find_floor_plane(heights, level, areas, size)
-    upper = find_floor_plane(-heights, level, areas, size)
-    return lower if lower[1] >= upper[1] else (-upper[0], *upper[1:])
-
-
-def lowest_surface(gaussians: Gaussians | None, places: np.ndarray, target: np.ndarray, up: np.ndarray) -> float:
-    """Height along `up` below which there is hardly anything; without Gaussians, of what is looked at."""
-    near = None if gaussians is None else near_gaussians(gaussians, places, target)
-    return float(np.percentile(near.means @ up, 1.0)) if near is not None and len(near) else float(target @ up)
+    return gaussians.select((gaussians.opacities > OPAQUE) & (np.linalg.norm(gaussians.means - middle, axis=1) < reach))
 
 
 def _front(poses: np.ndarray, upright: np.ndarray) -> tuple[np.ndarray, str]:

@@ -236,10 +236,9 @@ class RoomMaking:
             return Contributions(file["weight"], file["views"], file["depth"])
 
     def segment(self) -> None:
-        """Objects of the Gaussians: by masks, given or made from marks, or none."""
+        """Objects of the Gaussians: learned from given masks, or now from masks that marks spread to, or none."""
         from assets.splat_files import read_gaussians, write_gaussians
-        from prepare.room_capture.room_pipeline import labelled, without_supports
-        from prepare.segment.mask_files import read_masks
+        from prepare.room_capture.room_pipeline import without_supports
 
         g, progress = self.gaussians, self.stages.progress
         if self.args.no_objects:
@@ -247,22 +246,25 @@ class RoomMaking:
             self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
 
-        def make(into: Path) -> None:  # of masks also if ids were learned: crumbs at an object's rim are told better
-            masks = self.masks_from_marks() if self.masks is None else read_masks(self.masks, self.capture.views)
-            made = labelled(g, self.capture, masks, progress)
-            write_gaussians(into / "objects.ply", without_supports(made, self.capture, progress))
+        def make(into: Path) -> None:
+            known = g if self.marks is None else self.learned_from_marks()
+            write_gaussians(into / "objects.ply", without_supports(known, self.capture, progress))
 
         inputs = {"marks": None if self.marks is None else marks_json(self.marks)}
         done = self.stages.run("objects", inputs, make, self.source)
         self.gaussians = read_gaussians(done / "objects.ply", self.say)
 
-    def masks_from_marks(self):
-        """Masks of all photographs, from marks in some."""
+    def learned_from_marks(self):
+        """The Gaussians with objects that they learn from masks of all photographs, which marks in some spread to."""
         from prepare.segment.mask_propagation import propagate_marks
+        from prepare.segment.object_ids import learned_objects
         from prepare.train.photographs import load_photographs
 
-        photographs = load_photographs(self.capture.views, self.args.reduce)
-        return propagate_marks(self.capture, photographs, self.marks, self.gaussians, self.stages.progress)
+        views, g, progress = self.capture.views, self.gaussians, self.stages.progress
+        photographs = load_photographs(views, self.args.reduce)
+        masks = propagate_marks(self.capture, photographs, self.marks, g, progress)
+        photographs = load_photographs(views, self.args.reduce, masks.ids)
+        return learned_objects(g, self.capture, photographs, masks.names, progress)
 
     def measured(self) -> dict:
         """Points and length of --scale-points."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from assets.gaussians import Gaussians
 from core.camera import Camera
-from prepare.blending_weights import CHANNELS, BlendingWeights
+from prepare.blending_weights import BlendingWeights
 from prepare.progress import Progress, no_progress
 
 SIDE = 320  # [px] longer side of the pictures in which contributions are summed
@@ -45,34 +45,6 @@ def contributions(
         progress("views", (k + 1) / len(cameras))
     weights.destroy()
     return Contributions(weight, views, np.array(depths))
-
-
-def weights_in_masks(
-    gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    masks: Sequence[np.ndarray | None],
-    count: int,
-    *,
-    progress: Progress = no_progress,
-) -> np.ndarray:
-    """Blending weight [px] of each Gaussian in the pixels of the background and of each object, (N, count + 1).
-
-    masks  ids of the pixels of each view, (H, W), in any size of its picture; 0 is the background, 1 to `count` are
-           objects, others and None are unknown
-    """
-    import cv2
-
-    known = [k for k, ids in enumerate(masks) if ids is not None]
-    weights, total = BlendingWeights(gaussians, sort="radial"), np.zeros((len(gaussians), count + 1))
-    for i, k in enumerate(known):
-        camera = reduced(cameras[k])
-        for first in range(0, count + 1, CHANNELS):
-            maps = [(masks[k] == o).astype(np.float32) for o in range(first, min(first + CHANNELS, count + 1))]
-            maps = [cv2.resize(m, (camera.width, camera.height), interpolation=cv2.INTER_AREA) for m in maps]
-            total[:, first : first + CHANNELS] += weights.sums(camera, maps)
-        progress("masks", (i + 1) / len(known))
-    weights.destroy()
-    return total
 
 
 def reduced(camera: Camera) -> Camera:

@@ -17,13 +17,10 @@ from prepare.cleaning import MIN_GAUSSIANS
 from prepare.progress import Progress, no_progress
 from prepare.room_capture.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
-from prepare.room_capture.contributions import Contributions, contributions, depth_at, needed, weights_in_masks
+from prepare.room_capture.contributions import Contributions, contributions, depth_at, needed
 from prepare.room_capture.objects import SOLID, Support, object_body, object_files, support_of
 from prepare.room_capture.seats import seated
-from prepare.segment.mask_files import Masks
-from prepare.segment.object_ids import voted
 from prepare.train.capture import Capture
-from prepare.train.photographs import load_photograph
 
 OBJECT_SHARE = 0.002  # least share of an object in what the pictures show
 NEAR_MARGIN = 0.03  # [m] around an object where the collider is fine
@@ -63,17 +60,6 @@ def object_name(gaussians: Gaussians, k: int) -> str:
 def cameras_of(capture: Capture) -> list[Camera]:
     """Cameras of all photographs."""
     return [view.camera() for view in capture.views]
-
-
-def labelled(gaussians: Gaussians, capture: Capture, masks: Masks, progress: Progress = no_progress) -> Gaussians:
-    """The Gaussians with the objects that the masks of the photographs show: each with the object in whose pixels most
-    of its blending weight lies, after a vote among neighbours. Raises BadInput."""
-    ids = []
-    for view, mask in zip(capture.views, masks.ids, strict=True):
-        ids.append(None if mask is None else load_photograph(view, objects=mask).objects)
-    weights = weights_in_masks(gaussians, cameras_of(capture), ids, len(masks.names), progress=progress)
-    found = voted(gaussians, weights.argmax(axis=1), weights.sum(axis=1), len(masks.names))
-    return replace(gaussians, object_id=found.astype(np.uint16), objects=tuple(masks.names))
 
 
 def without_supports(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Gaussians:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +13,17 @@ from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians, Report
 from core.errors import BadInput
+from prepare.progress import Progress, no_progress
 from prepare.segment.mask_files import VIEWS_MIN, Masks, read_masks
 from prepare.train.capture import Capture
 from prepare.train.object_labels import nearest_label
 from prepare.train.photographs import Photograph
+from prepare.train.train_options import TrainOptions
+from prepare.train.trainer import Trainer
 
 BACKGROUND = "background"  # name of the part that belongs to no object
 NEIGHBOURS = 16  # that vote on a Gaussian
+LEARNING_STEPS = 400  # of labels alone; some 50 that see a Gaussian move its label from the background to an object
 
 
 def masks_beside(capture: Capture, report: Report) -> Path | None:
@@ -73,6 +78,30 @@ def identified(trainer) -> Gaussians:
     g, count = trainer.gaussians(), len(trainer.objects)
     ids = voted(g, nearest_label(trainer.labels(), count), trainer.evidence(), count)
     return replace(g, object_id=ids.astype(np.uint16), objects=trainer.objects)
+
+
+def learned_objects(
+    g: Gaussians,
+    capture: Capture,
+    photographs: list[Photograph],
+    names: Sequence[str],
+    progress: Progress = no_progress,
+) -> Gaussians:
+    """Trained Gaussians with ids and names of the objects in the photographs' masks, from a short further training
+    with L_seg: their number stays, and those at the objects' borders fit these then. Taichi must be running."""
+    options = TrainOptions(
+        steps=LEARNING_STEPS, cap=len(g), degree=g.sh_degree, sort=g.sort or "radial", free_space=False, resets=False
+    )
+    trainer = Trainer(photographs, g, capture.extent, options, names)
+    trainer.rates = replace(trainer.rates, mean=trainer.rates.mean_end)  # as at the end of the first training
+    while trainer.done < options.steps:
+        trainer.step()
+        if trainer.done % 10 == 0:
+            trainer.recent_loss()  # waits for the device
+            progress("masks", trainer.done / options.steps)
+    found = identified(trainer)
+    trainer.destroy()
+    return found
 
 
 def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from commands.parser import parse
 from core.errors import BadInput
 from core.report import html_page
 from prepare.room_capture.stages import Stages
-from prepare.segment.mask_files import read_masks
+from prepare.segment.marks import read_marks
 from prepare.train.capture_files import read_capture
 from studio.procedural_capture import CaptureOptions, write_procedural_capture
 
@@ -51,17 +51,19 @@ def test_a_modelled_capture_becomes_a_room(tmp_path, ti_cpu, capsys):
     assert capsys.readouterr().err.count("kept from an earlier run") == 6
 
 
-def test_given_masks_tell_the_object_of_each_gaussian(tmp_path, ti_cpu):
+def test_marks_tell_the_object_of_each_gaussian(tmp_path, ti_cpu):
     toys = tmp_path / "toys"
     write_procedural_capture(toys, CaptureOptions(views=8, size=(96, 72)), lambda line: None)
-    args = parse(f"capture {toys} --masks {toys / 'masks'} --out {tmp_path / 'room'}".split(), "", print)
+    args = parse(f"capture {toys} --out {tmp_path / 'room'}".split(), "", print)
     making = RoomMaking(args, Stages(tmp_path / "work", STAGES))
-    making.capture, making.masks, making.marks = read_capture(toys), args.masks, None
+    making.capture = read_capture(toys)
+    sizes = {view.name: (96, 72) for view in making.capture.views}
+    making.masks, making.marks = None, read_marks(toys / "marks.json", sizes)
     points = making.capture.points
     still, log_scales = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)), np.full((len(points), 3), np.log(0.01))
     making.gaussians = Gaussians.of(points, still, log_scales, np.full(len(points), 4.0), np.zeros((len(points), 1, 3)))
     making.segment()
-    assert making.gaussians.objects == tuple(read_masks(args.masks, making.capture.views).names)
+    assert making.gaussians.objects == tuple(making.marks.objects)
     counts = np.bincount(making.gaussians.object_id, minlength=6)
     assert counts[0] > counts[1:].sum() and (counts[1:] > 10).all(), counts
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.testing import assert_array_equal
 
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
-from prepare.segment.object_ids import check_learned, masks_of, part_file, split, voted
+from prepare.segment.object_ids import check_learned, learned_objects, masks_of, part_file, split, voted
+from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import read_capture
 from tests.support import painted_capture
 from tests.support.samples import some_gaussians
@@ -48,6 +50,18 @@ def test_islands_drown_and_what_was_seen_well_stays():
     few = g.select(np.array([0, 1, 500, 501, 502]))  # all that there is of them
     assert_array_equal(voted(few, truth[[0, 1, 500, 501, 502]], np.array([1.0, 1, 9, 9, 9]), 2), [1, 1, 2, 2, 2])
     assert_array_equal(voted(g.select(np.array([0, 1, 500])), np.array([1, 1, 2]), np.zeros(3), 2), [1, 1, 1])
+
+
+def test_a_trained_splat_learns_its_objects_from_masks(ti_cpu):
+    g, truth = painted_capture.painted_gaussians(), painted_capture.painted_objects()
+    seen = [p._replace(objects=m) for p, m in zip(painted_capture.photographs(), painted_capture.masks(), strict=True)]
+    views = [View(Path("none.png"), Lens(64, 64, 75.0, 75.0, 32.0, 32.0), p.camera.world_to_camera) for p in seen]
+    told = []
+    found = learned_objects(
+        g, Capture(Path("none"), views), seen, ("left", "right"), lambda what, done: told.append(done)
+    )
+    assert len(found) == len(g) and found.objects == ("left", "right") and told[-1] == 1.0
+    assert (found.object_id == truth).mean() > 0.9
 
 
 def test_a_split_loses_nothing():

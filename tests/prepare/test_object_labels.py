@@ -71,10 +71,10 @@ def test_a_photograph_without_a_mask_teaches_no_labels(trained):
 def test_what_is_divided_hands_its_label_down(trained):
     p = trained[0].population
     kept, n = p.read(), p.count
-    pull, logits = np.zeros(n, np.float32), np.zeros(n, np.float32)
+    total, logits = np.zeros(n, np.float32), np.zeros(n, np.float32)
     labels = np.random.default_rng(0).uniform(0.0, 1.0, (n, 3)).astype(np.float32)
-    pull[[3, 5]], logits[7] = 1.0, -9.0
-    rows = {"pull": pull, "pulls": np.ones(n, np.float32), "logit": logits, "label": labels}
+    total[[3, 5]], logits[7] = 1.0, -9.0
+    rows = {"gradient_sum": total, "gradient_count": np.ones(n, np.float32), "logit": logits, "label": labels}
     small = np.full((n, 3), np.log(0.005), np.float32)  # cloned, not split
     p.write(kept | rows | {"first_label": labels, "log_scale": small})
     AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1)).refine()

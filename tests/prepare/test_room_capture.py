@@ -21,7 +21,7 @@ from prepare.own_weight import bent_by_weight
 from prepare.progress import no_progress
 from prepare.room_capture import stages as stages_module
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
-from prepare.room_capture.contributions import contributions, needed, weights_in_masks
+from prepare.room_capture.contributions import contributions, needed
 from prepare.room_capture.objects import liftable, object_files, steady, support_of
 from prepare.room_capture.program_source import source_digest
 from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, inpainted, without_objects
@@ -114,12 +114,6 @@ def test_what_no_photograph_needs_is_left_out(ti_cpu):
     assert not keep[-2] and found.weight[-2] < 0.5 and not keep[-1] and found.weight[-1] > 1.0
     inside = (np.abs(g.means[:-2, :2]) < 0.6).all(1)
     assert keep[:-2][inside].all() and found.views[:-2][inside].min() == 2
-    left = np.zeros((48, 64), np.uint8)
-    left[:, :32] = 1
-    weights = weights_in_masks(g, [camera], [left], 1)
-    assert weights.sum() == pytest.approx(found.weight.sum() / 2, rel=1e-3)
-    sides = weights.argmax(1)[:-2][inside & (np.abs(g.means[:-2, 0]) > 0.05)]
-    assert (sides == (g.means[:-2, 0][inside & (np.abs(g.means[:-2, 0]) > 0.05)] < 0)).all()
 
 
 def ring_of_cameras(height: float):

@@ -20,10 +20,9 @@ from display.protocol import Frame, WorldView
 from display.user_commands import Command, ViewFiles
 from display.window.controls import HOVER_OPACITY, ROOM_GIZMO, Controls, Hover
 from display.window.dialogs import LengthDialog, OpenDialog, SceneMenu, UpChoice
-from display.window.gizmo import Gizmo
 from display.window.gl_context import PictureTexture
 from display.window.gl_window import GLWindow
-from display.window.overlay import FirstHint, draw_lines, measuring_lines
+from display.window.overlay import FirstHint, Gizmo, draw_lines, measuring_lines
 from display.window.panel_drawer import PanelDrawer
 from display.window.widgets import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
 from scenes.scene import Scene

@@ -176,9 +176,7 @@ class Panel:
         now = perf_counter()
         if now - self._read >= READ_INTERVAL:
             self._read, self.fps, self._stages = now, world.timings.recent_fps(), world.timings.recent()
-            counts = count_texts(world.stats())
-            pairs = [", ".join(counts[first : first + 2]) for first in range(0, len(counts), 2)]
-            self._lines = [*frame_lines(world.timings), *pairs]
+            self._lines = [*frame_lines(world.timings), ", ".join(count_texts(world.stats()))]
 
     def sections(self, world: WorldView) -> list[Section]:
         """All that this world has a use for, from top to bottom."""

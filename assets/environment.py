@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from assets.hdf5 import Hdf5Reader, open_hdf5
-from assets.integers import read_grid, write_grid
+from assets.quantisation import read_grid, write_grid
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 

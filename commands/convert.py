@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.formats.compressed_ply import chunk_order
+from assets.formats.ply import chunk_order
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import COMPRESSED, kind_to_write, read_gaussians, write_gaussians
 from commands.options import SPLATS

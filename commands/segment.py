@@ -65,8 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def is_splats(path: Path) -> bool:
     """True for the name of a splat file or mesh, which holds no photographs."""
-    from assets.file_kind import MESHES
-    from assets.splat_files import READERS
+    from assets.splat_files import MESHES, READERS
 
     suffix = path.suffix.lower()
     return suffix in (*READERS, *MESHES) and (suffix != ".json" or path.name.lower() == "meta.json")

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.animation import Animation
-from assets.asset import Asset
-from assets.components import split_components
+from assets.asset import Asset, split_components
 from assets.gaussians import Gaussians
 from assets.library import animated_height, default_material, find_asset
 from core.distance_grid import DistanceGrid

@@ -16,8 +16,8 @@ import numpy as np
 
 from assets.environment import Environment
 from assets.hdf5 import open_hdf5
-from assets.integers import read_grid
 from assets.library import animated_height, asset_material, cage_vertices, find_asset
+from assets.quantisation import read_grid
 from assets.room_folder import is_room_folder, read_room
 from core.camera import Camera
 from core.distance_grid import DistanceGrid

@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from assets.file_access import file_size, open_input, unpack_bound
-from assets.formats.quantization import join_largest, logits_from_bytes
+from assets.formats.packing import join_largest, logits_from_bytes
 from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
 from assets.images import decode_image, read_image_header
 from core.errors import BadInput

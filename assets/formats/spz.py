@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write, open_input, unpack_bound
-from assets.formats.quantization import bytes_from_logits, join_largest, logits_from_bytes, split_largest, to_bytes
+from assets.formats.packing import bytes_from_logits, join_largest, logits_from_bytes, split_largest, to_bytes
 from assets.gaussians import SH_COUNTS, SORTS, Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import sh_basis

@@ -1,4 +1,4 @@
-"""Tetrahedral meshes with fields as VTK's XML file for unstructured grids (.vtu), which ParaView and meshio read.
+"""Simulated meshes for other programs: tets with fields as VTK's .vtu (ParaView, meshio), surfaces as Wavefront .obj.
 
 Binary data stands inline: base64 of a 64-bit byte count and little-endian numbers.
 """
@@ -6,6 +6,8 @@ Binary data stands inline: base64 of a 64-bit byte count and little-endian numbe
 from __future__ import annotations
 
 import base64
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -54,3 +56,19 @@ def data_array(name: str, values: np.ndarray) -> str:
     columns = "" if values.ndim == 1 else f' NumberOfComponents="{values.shape[1]}"'
     kind = TYPES[f"{values.dtype.kind}{values.dtype.itemsize}"]
     return f'<DataArray type="{kind}" Name="{name}"{columns} format="binary">{text}</DataArray>'
+
+
+def write_surfaces(path: str | Path, surfaces: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:
+    """Write named surfaces: vertices (V, 3) [m], of which only used ones are kept, and outward triangles (S, 3).
+
+    Raises BadInput.
+    """
+    lines, first = ["# VR-GS: metres, +y up"], 1
+    for name, vertices, triangles in surfaces:
+        used, corners = np.unique(triangles, return_inverse=True)
+        lines.append("o " + (re.sub(r"\s+", "_", name) or "body"))
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in np.asarray(vertices, np.float64)[used].tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (corners.reshape(-1, 3) + first).tolist()]
+        first += len(used)
+    with atomic_write(path) as beside:
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.formats.surface_obj import write_surfaces
-from assets.formats.vtu import write_vtu
+from assets.formats.vtu import write_surfaces, write_vtu
 from assets.gaussians import Gaussians
 from assets.splat_files import WRITERS, kind_to_write, write_gaussians
 from core.errors import BadInput

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_kind import MESHES, SPLATS, kind_of
+from assets.splat_files import MESHES, SPLATS, kind_of
 from core.errors import BadInput
 from core.measured_length import length_of
 from display.panel import chosen_by_list, demos, line_of, picture_file, spoken

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from assets.asset import Asset
 from assets.file_access import read_json
-from assets.formats.gltf_skin import Rig
+from assets.formats.gltf import Rig
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from assets.animation import Pose, slerp, world_matrices
-from assets.formats.gltf_skin import Rig
+from assets.formats.gltf import Rig
 from core.errors import BadInput
 from core.rotation import conjugate_quaternions, multiply_quaternions
 from prepare.rig.landmarks import ARM, LEG, SIDES, TREE, Landmarks, match_joints

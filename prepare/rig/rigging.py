@@ -10,8 +10,7 @@ import numpy as np
 
 from assets.animation import Animation, Pose, close_loop, linear_blend_skinning, world_matrices
 from assets.asset import Asset, Cage
-from assets.formats.gltf import GlbFile
-from assets.formats.gltf_skin import Rig, read_mesh, read_rig
+from assets.formats.gltf import GlbFile, Rig, read_mesh, read_rig
 from assets.gaussians import Gaussians
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput

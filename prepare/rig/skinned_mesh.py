@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from assets.animation import decompose, local_matrices, world_matrices
 from assets.asset import Asset
-from assets.formats.gltf_skin import Rig, SkinnedMesh, linear_from_srgb, srgb_from_linear
+from assets.formats.gltf import Rig, SkinnedMesh, linear_from_srgb, srgb_from_linear
 from assets.gaussians import Gaussians
 from assets.orientation import rotation_to_up
 from core.errors import BadInput

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from assets.formats.gltf_skin import Rig
+from assets.formats.gltf import Rig
 from prepare.rig.landmarks import SIDES
 from prepare.rig.retargeting import BONES, PARENTS
 from studio.dancer.skeleton import HEIGHT

@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from assets.asset import Asset, Cage, CageEmbedding
-from assets.components import split_components
+from assets.asset import Asset, Cage, CageEmbedding, split_components
 from core.tetmesh import boundary_surface
 from tests.support.samples import some_gaussians
 

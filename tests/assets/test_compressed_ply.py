@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from assets.formats.compressed_ply import chunk_order
-from assets.formats.ply import read_ply
+from assets.formats.ply import chunk_order, read_ply
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
 from core.spherical_harmonics import C0

@@ -8,8 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.animation import linear_blend_skinning, world_matrices
-from assets.formats.gltf import PIXELS_MAX, GlbFile
-from assets.formats.gltf_skin import read_mesh, read_rig
+from assets.formats.gltf import PIXELS_MAX, GlbFile, read_mesh, read_rig
 from core.errors import BadInput
 from tests.support.glb import CODES, Builder, bar, packed
 

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from assets.formats.ksplat import read_ksplat
+from assets.formats.splat import read_ksplat
 from assets.splat_files import read_gaussians
 from core.spherical_harmonics import C0
 from tests.support.samples import refused, some_gaussians

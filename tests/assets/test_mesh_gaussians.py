@@ -9,10 +9,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 import assets.mesh_gaussians as covering
-from assets.file_kind import is_mesh, kind_of
 from assets.formats.ply import write_ply
 from assets.library import SHIPPED_FOLDER
-from assets.splat_files import read_gaussians
+from assets.splat_files import is_mesh, kind_of, read_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 from tests.support.samples import some_gaussians

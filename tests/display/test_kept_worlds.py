@@ -11,9 +11,8 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
-from assets.file_kind import kind_of
 from assets.formats.vtu import write_vtu
-from assets.splat_files import read_gaussians
+from assets.splat_files import kind_of, read_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.material import Material

@@ -96,7 +96,7 @@ def mesh_samples(folder: Path) -> list[Files]:
 
 def read_mesh_file(path: Path) -> None:
     """Read a triangle mesh, and colours of its surface."""
-    from assets.formats.triangle_mesh_file import read_triangle_mesh, texture_colours
+    from assets.mesh_gaussians import read_triangle_mesh, texture_colours
 
     for part in read_triangle_mesh(path):
         with np.errstate(all="ignore"):
@@ -127,7 +127,7 @@ def inside_glb(rng: np.random.Generator, files: Files) -> Files:
 
 def read_skinned_glb(path: Path) -> None:
     """Read the rig and the mesh of a .glb."""
-    from assets.formats.gltf_skin import read_mesh, read_rig
+    from assets.formats.gltf import read_mesh, read_rig
 
     rig, file, skin = read_rig(path)
     read_mesh(file, skin, len(rig.joints))

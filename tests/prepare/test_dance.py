@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from assets.animation import linear_blend_skinning
 from assets.asset import Asset
-from assets.formats.gltf_skin import read_rig
+from assets.formats.gltf import read_rig
 from core.tetmesh import TET_EDGES
 from prepare.pipeline import Options
 from prepare.prepared_files import prepare_file

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from assets.animation import linear_blend_skinning, world_matrices
 from assets.asset import Asset
-from assets.formats.gltf_skin import Rig
+from assets.formats.gltf import Rig
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL
 from prepare.pipeline import Options

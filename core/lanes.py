@@ -34,6 +34,15 @@ def from_lane(value, k, lanes: ti.template()):
 
 
 @ti.func
+def vector_from_lane(value, k, lanes: ti.template()):
+    """The vec3 of lane k, in all lanes."""
+    result = value
+    for axis in ti.static(range(3)):
+        result[axis] = from_lane(value[axis], k, lanes)
+    return result
+
+
+@ti.func
 def int_from_lane(value, k, lanes: ti.template()):
     """The int of lane k, in all lanes."""
     result = value
@@ -54,7 +63,7 @@ def vote(chosen, lanes: ti.template()):
 @ti.func
 def first_of(bits):
     """The lowest of these bits, of which there must be one."""
-    return ti.cast(ti.math.popcnt((bits & (~bits + ti.u32(1))) - ti.u32(1)), ti.i32)
+    return ti.cast(ti.math.popcnt((bits - ti.u32(1)) & ~bits), ti.i32)
 
 
 @ti.func

@@ -10,6 +10,7 @@ bits, so that splats outside of its cell cost it nothing.
 
 import taichi as ti
 
+from core.lanes import first_of
 from render.binning import TileBins
 from render.footprint import CUTOFF_BITS, horizontal_extent
 from render.radix_sort import value_of
@@ -74,12 +75,6 @@ def load_batch(drawer: ti.template(), shared: ti.template(), v, first, end, lane
         if j < BATCH:  # the same for the whole warp
             load_member(drawer, shared, v, first + j, j, ti.cast(first + j < end, ti.i32), x0, y0)
     ti.simt.block.sync()
-
-
-@ti.func
-def lowest_bit(bits: ti.u32) -> ti.i32:
-    """Position of the lowest bit that is set."""
-    return ti.cast(ti.math.popcnt((bits - ti.u32(1)) & ~bits), ti.i32)
 
 
 @ti.func
@@ -245,7 +240,7 @@ class Blend:
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     while (bits != ti.u32(0)) & (limit.min() < 1.0):
-                        splat = fetched(shared, group * 32 + lowest_bit(bits), 12)
+                        splat = fetched(shared, group * 32 + first_of(bits), 12)
                         bits &= bits - ti.u32(1)
                         dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
                         tilt, base = splat[5] * dx, splat[2] - splat[4] * dx * dx

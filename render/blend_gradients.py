@@ -5,6 +5,7 @@ import math
 import taichi as ti
 
 from core.fields import FieldGroup
+from core.lanes import first_of
 from render.binning import TileBins
 from render.blend import (
     ACROSS,
@@ -25,7 +26,6 @@ from render.blend import (
     fetched,
     filled,
     load_batch,
-    lowest_bit,
     pixel_of,
     splat_color,
     splat_words,
@@ -256,7 +256,7 @@ class BlendGradients:
                     if ti.simt.warp.any_nonzero(all_lanes, ti.cast(limit.min() < 1.0, ti.i32)) == 0:
                         bits = ti.u32(0)
                     while bits != ti.u32(0):
-                        splat = fetched(shared, group * 32 + lowest_bit(bits), 12)
+                        splat = fetched(shared, group * 32 + first_of(bits), 12)
                         bits &= bits - ti.u32(1)
                         sums = ti.Vector([0.0] * SUMS)
                         touched = 0

@@ -7,6 +7,7 @@ order by fewer places than the buffer has are put right.             Radl 2024 (
 
 import taichi as ti
 
+from core.lanes import first_of
 from render.binning import TileBins
 from render.blend import (
     ACROSS,
@@ -22,7 +23,6 @@ from render.blend import (
     exp2,
     fetched,
     load_batch,
-    lowest_bit,
     pixel_of,
     splat_color,
     tile_origin,
@@ -183,7 +183,7 @@ class PerPixelSort:
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     while (bits != ti.u32(0)) & (done == 0):
-                        splat = fetched(shared, group * 32 + lowest_bit(bits), 10)
+                        splat = fetched(shared, group * 32 + first_of(bits), 10)
                         bits &= bits - ti.u32(1)
                         dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
                         power = splat[2] - dx * (splat[4] * dx + splat[5] * dy) - splat[6] * dy * dy

@@ -129,13 +129,11 @@ class ContactConstraints:
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
         """First pass: a constraint that carries a load or is about to counts for mass splitting and warm-starts."""
-        self.active[r] = 0
-        if usable and (
-            self.impulse[r].norm_sqr() > 0.0
-            or self.normal[r].dot(self.relative_motion(r, 0, integrator))
-            < min_normal_motion(self.phi[r], self.state.dt[None])
-        ):
-            self.active[r] = 1
+        loaded = usable and self.impulse[r].norm_sqr() > 0.0
+        if usable and not loaded:
+            y_n = self.normal[r].dot(self.relative_motion(r, 0, integrator))
+            loaded = y_n < min_normal_motion(self.phi[r], self.state.dt[None])
+        if loaded:
             if ti.static(self.unrolled):
                 for e in ti.static(range(MAX_VERTICES)):
                     self._count_split(r, e)
@@ -145,6 +143,16 @@ class ContactConstraints:
             if ti.static(self.coupled):
                 for e in range(self.body_count[r]):
                     self.rigid_bodies.count_split(self.body[r, e])
+        self.set_active(r, usable, loaded)
+
+    @ti.func
+    def set_active(self, r, usable, loaded):
+        """Let row r take part in this sweep if it is loaded: at first by its impulse of the last substep.
+
+        Else that is forgotten, and the row waits until its distance may be used up, if it is `usable`: if it has one.
+        """
+        self.active[r] = ti.cast(loaded, ti.i32)
+        if loaded:
             self.add_impulse(r, self.impulse[r], 0)
         else:
             self.clear_impulse(r)

@@ -228,10 +228,7 @@ class RigidBodies(Constraint):
             for j in range(1 + self.passes):
                 for c in ti.static(range(6)):
                     self.corrections[b, j, c] = 0
-            if self.sweep[b] < integrator.iterations:
-                if ti.static(not integrator.warm_started):  # else the next sweep applies all impulses again
-                    self.dx[b], self.rotation[b] = d, rotation
-            else:
+            if self.sweep[b] == integrator.iterations:  # until then, the next sweep applies all impulses again
                 if self.kind[b] == FREE:
                     self.commit_body(b, d, rotation)
                 else:

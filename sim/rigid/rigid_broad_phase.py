@@ -42,6 +42,12 @@ def slot_count(samples: ContactSamples) -> int:
 
 
 @ti.func
+def bodies_of_group(g):
+    """The two bodies of group g, the first of lower index; the second may be WORLD."""
+    return g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
+
+
+@ti.func
 def tangents(n):
     """Two unit vectors that are perpendicular to a unit vector n and to each other (Duff et al. 2017)."""
     sign = 1.0 if n.z >= 0.0 else -1.0
@@ -255,7 +261,7 @@ class RigidBroadPhase:
     @ti.func
     def _side(self, q, g):
         """1 if slot q is a sample of the first body of group g, -1 if of the second."""
-        return 1.0 if self.samples.body[q % self.samples.capacity] == g // (MAX_BODIES + 1) else -1.0
+        return 1.0 if self.samples.body[q % self.samples.capacity] == bodies_of_group(g)[0] else -1.0
 
     @ti.func
     def _sort(self, q):
@@ -290,7 +296,7 @@ class RigidBroadPhase:
             if (
                 abs(rise - n.dot(v)) < CONTACT_SLOP
                 and n.cross(self.normal[other]).norm() < STRAIGHT
-                and (g % (MAX_BODIES + 1) != WORLD or self.shape[other] == self.shape[q])
+                and (bodies_of_group(g)[1] != WORLD or self.shape[other] == self.shape[q])
             ):
                 least, most = below(v.dot(uphill), v.dot(left), rise - HULL_TOLERANCE, least, most)
             f += 1

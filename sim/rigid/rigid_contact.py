@@ -9,13 +9,12 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
-from core.lanes import from_lane, lane_count, max_lanes, rank_lanes, sync_lanes
+from core.lanes import from_lane, lane_count, max_lanes, rank_lanes, sync_lanes, vector_from_lane
 from sim.contact.constraints import SETTLED
 from sim.contact.response import inverse_mass_matrix, isotropic_contact_impulse, min_normal_motion
 from sim.contact.static_shapes import MAX_SHAPES, known
-from sim.model import MAX_BODIES
 from sim.rigid.rigid_bodies import SOFT
-from sim.rigid.rigid_broad_phase import WORLD, RigidBroadPhase
+from sim.rigid.rigid_broad_phase import WORLD, RigidBroadPhase, bodies_of_group
 
 GROUP_SWEEPS = 3  # over a group's constraints in each pass; with one, corners that strike together do not all rebound
 MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce, and so come to rest
@@ -68,38 +67,40 @@ class RigidContacts:
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
         """As ContactConstraints.activate, for one of a group, of which the first that carries a load counts for all."""
-        table = self.constraints
-        q = r - self.begin
-        g = self.search.group_of(q)
-        dt = self.state.dt[None]
-        table.active[r] = 0
-        loaded, fall = False, self.state.gravity[None].norm() * dt * dt
+        g, loaded = self.search.group_of(r - self.begin), False
         if usable:
-            y_n = table.normal[r].dot(table.relative_motion(r, 0, integrator))
-            loaded = table.impulse[r].norm_sqr() > 0.0
-            if self.search.bounce_speed[q] > 0.0:
-                self.impact_left[q] -= 1
-                table.clear_impulse(r)  # the impulse that stopped a body is not the load that follows
-                if y_n >= 0.999 * self.search.bounce_speed[q] * dt - 1.01 * fall or self.impact_left[q] < 0:
-                    self.search.bounce_speed[q] = 0.0
-                loaded = self.search.bounce_speed[q] > 0.0
-            elif not loaded and y_n < min_normal_motion(table.phi[r], dt):
-                loaded = True
-                if y_n < -MIN_IMPACT * fall:
-                    self.search.bounce_speed[q] = -y_n / dt * self._restitution(g)
-                    self.impact_left[q] = IMPACT_SUBSTEPS
+            loaded = self._carries_load(r, g, self.constraints.relative_motion(r, 0, integrator))
         if loaded:
-            table.active[r] = 1
-            a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
+            a, b = bodies_of_group(g)
             if ti.atomic_max(self.search.active[g], 1) == 0:
                 self.rigid_bodies.count_split(a)
                 if b != WORLD:
                     self.rigid_bodies.count_split(b)
-            table.add_impulse(r, table.impulse[r], 0)
-        else:
-            table.clear_impulse(r)
-            if usable:
-                table.postpone(r, table.phi[r], table.closing_speed[r])
+        self.constraints.set_active(r, usable, loaded)
+
+    @ti.func
+    def _carries_load(self, r, g, y):
+        """True if constraint r of group g pushed in the last substep, or has to in this one, of motion y [m] so far.
+
+        Of what strikes, it notes the speed at which that bounces, until this is reached or IMPACT_SUBSTEPS are over.
+        """
+        table, f, q = self.constraints, self.search, r - self.begin
+        dt = self.state.dt[None]
+        fall = self.state.gravity[None].norm() * dt * dt  # [m] in a substep from rest
+        y_n = table.normal[r].dot(y)
+        loaded = table.impulse[r].norm_sqr() > 0.0
+        if f.bounce_speed[q] > 0.0:
+            self.impact_left[q] -= 1
+            table.clear_impulse(r)  # the impulse that stopped a body is not the load that follows
+            if y_n >= 0.999 * f.bounce_speed[q] * dt - 1.01 * fall or self.impact_left[q] < 0:
+                f.bounce_speed[q] = 0.0
+            loaded = f.bounce_speed[q] > 0.0
+        elif not loaded and y_n < min_normal_motion(table.phi[r], dt):
+            loaded = True
+            if y_n < -MIN_IMPACT * fall:
+                f.bounce_speed[q] = -y_n / dt * self._restitution(g)
+                self.impact_left[q] = IMPACT_SUBSTEPS
+        return loaded
 
     @ti.func
     def _min_normal_motion(self, r, q, restitution):
@@ -119,7 +120,7 @@ class RigidContacts:
     @ti.func
     def _restitution(self, g):
         """Larger restitution of a group's two bodies."""
-        a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
+        a, b = bodies_of_group(g)
         e = self.rigid_bodies.restitution[a]
         if b != WORLD:
             e = ti.max(e, self.rigid_bodies.restitution[b])
@@ -129,26 +130,27 @@ class RigidContacts:
     def solve(self, g, j, lane):
         """Pass j over group g: sweeps over it until it has settled, on copies of its bodies with their parts of mass.
 
+        For a constraint at lever arms r_a, r_b from the centres of bodies a and b, moved by d and turned by t so far,
+
+            y = d_a + t_a x r_a - d_b - t_b x r_b,   lambda changes by c (`_impulse`),
+            d_a += w_a c,   t_a += I_a^-1 (r_a x c),   d_b -= w_b c,   t_b -= I_b^-1 (r_b x c)
+
         The lanes of a warp hold a constraint each; one after the other takes a step, which all learn of.
         """
         m, table, f = self.rigid_bodies, self.constraints, self.search
         lanes = ti.static(self.lanes)
         if f.active[g] != 0 and table.continues(j):
-            a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
-            dt = self.state.dt[None]
-            splits = m.splits(a)
-            d_a, t_a = m.increments(a, j)
-            w_a, I_a = splits * m.inv_mass[a], splits * m.inverse_inertia_world[a]
+            a, b = bodies_of_group(g)
+            d_a, t_a, w_a, I_a = self._copy_of(a, j)
             d_b, t_b, w_b, I_b = vec3(0.0), vec3(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
             if b != WORLD:
-                splits = m.splits(b)
-                d_b, t_b = m.increments(b, j)
-                w_b, I_b = splits * m.inv_mass[b], splits * m.inverse_inertia_world[b]
-            restitution, begin = self._restitution(g), f.group_begin[g]
-            size = f.active[g]
+                d_b, t_b, w_b, I_b = self._copy_of(b, j)
+            dt, restitution, begin, size = self.state.dt[None], self._restitution(g), f.group_begin[g], f.active[g]
             if j == 1:
                 size = self._list_loaded(g, lane)
+            # of all steps together, on the first body, and their moments about the centres of both
             impulse, moment_a, moment_b = vec3(0.0), vec3(0.0), vec3(0.0)
+            # of this lane's constraint
             r, sign, n, old, r_a, r_b = -1, 1.0, vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
             friction, least = ti.Vector([0.0, 0.0]), 0.0
             A, w_n, mass = ti.Matrix.zero(ti.f32, 3, 3), 0.0, 0.0
@@ -156,7 +158,7 @@ class RigidContacts:
             while sweep < GROUP_SWEEPS and settled == 0.0:
                 first, change, load = 0, 0.0, 0.0
                 while first < size:
-                    if sweep == 0 or size > lanes:
+                    if sweep == 0 or size > lanes:  # else each lane still has its constraint
                         r = -1
                         if first + lane < size:
                             q = f.loaded[begin + first + lane]
@@ -176,21 +178,12 @@ class RigidContacts:
                         c, moment, counter = vec3(0.0), vec3(0.0), vec3(0.0)
                         if lane == k:
                             y = sign * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
-                            y_n = n.dot(y)
-                            y_t = y - y_n * n
-                            held, w_t, slip_sqr = old + mass * (least - y_n) * n, w_n, y_t.norm_sqr()
-                            if slip_sqr > 1e-30:
-                                A_t = y_t.dot(A @ y_t)
-                                w_t = A_t / slip_sqr
-                                held -= slip_sqr / ti.max(A_t, 1e-20 * slip_sqr) * y_t  # two divisions side by side
-                            new = isotropic_contact_impulse(held, n, w_t, friction, dt)
+                            new = self._impulse(old, n, y, least, A, w_n, mass, friction, dt)
                             c = sign * (new - old)
                             change, load = ti.max(change, c.norm_sqr()), ti.max(load, new.norm_sqr())
                             moment, counter, old = r_a.cross(c), r_b.cross(c), new
-                        for axis in ti.static(range(3)):
-                            c[axis] = from_lane(c[axis], k, lanes)
-                            moment[axis] = from_lane(moment[axis], k, lanes)
-                            counter[axis] = from_lane(counter[axis], k, lanes)
+                        c = vector_from_lane(c, k, lanes)
+                        moment, counter = vector_from_lane(moment, k, lanes), vector_from_lane(counter, k, lanes)
                         d_a += w_a * c
                         d_b -= w_b * c
                         t_a += I_a @ moment
@@ -211,6 +204,31 @@ class RigidContacts:
                 if b != WORLD:
                     m.add_impulse(b, -impulse, -moment_b, j)
                 f.active[g] = size
+
+    @ti.func
+    def _copy_of(self, b, j):
+        """Increments of body b before pass j, and its inverse mass and inertia, of the part that a group may use."""
+        m = self.rigid_bodies
+        splits = m.splits(b)
+        d, t = m.increments(b, j)
+        return d, t, splits * m.inv_mass[b], splits * m.inverse_inertia_world[b]
+
+    @ti.func
+    def _impulse(self, old, n, y, least, A, w_n, mass, friction, dt):
+        """Impulse [kg m] after `old` of a contact of inverse mass A, w_n = n . A n = 1 / mass, that moved by y [m].
+
+            lambda = old + (least - n . y) / w_n n - |y_t|^2 / (y_t . A y_t) y_t,   y_t = y - (n . y) n,
+
+        brought into the cone of friction (sim/contact/response.py).
+        """
+        y_n = n.dot(y)
+        y_t = y - y_n * n
+        held, w_t, slip_sqr = old + mass * (least - y_n) * n, w_n, y_t.norm_sqr()
+        if slip_sqr > 1e-30:
+            A_t = y_t.dot(A @ y_t)
+            w_t = A_t / slip_sqr
+            held -= slip_sqr / ti.max(A_t, 1e-20 * slip_sqr) * y_t  # two divisions side by side
+        return isotropic_contact_impulse(held, n, w_t, friction, dt)
 
     @ti.func
     def release(self, g):

@@ -283,7 +283,7 @@ def open_study(args: argparse.Namespace, scene: Scene):
     """The log of the participant's trials, or a context of None."""
     if not args.study:
         return contextlib.nullcontext()
-    from display.study.study_log import StudyLog
+    from display.study.study_file import StudyLog
 
     options = args.options or {}
     device = "headset" if args.xr else "headless" if args.headless else "window" if args.web is None else "browser"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from display.record.recording import Recording
     from display.record.replay import Replay
     from display.sound.sound import Sound
-    from display.study.study_log import StudyLog
+    from display.study.study_file import StudyLog
     from display.world import World, WorldSnapshot
     from scenes.scene import Scene
 

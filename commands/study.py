@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from assets.file_access import atomic_write
 from commands.conditions import Condition
 from core.errors import BadInput
 from core.program import as_called
 
-if TYPE_CHECKING:
-    from display.study.comparison import Comparison
-    from display.study.study_file import Study
-
 HELP = "compare recorded participants in the settings physics and transform; the questionnaire"
 EXAMPLES = (
     "--scene ring_toss --study all.h5 --participant Ida --interaction transform",
-    "study all.h5 --out all.html",
+    "study all.h5 --out all.csv",
     "study all.h5 --form --participant Ida --setting transform",
     "study all.h5 --form form.html",
     "study all.h5 --answers answers_Ida_transform.json",
 )
 CONDITIONS = (
     Condition(
-        ("--out", "--json"),
+        ("--out",),
         lambda args: args.form is None and not args.answers,
         "is for the comparison: leave out --form and --answers",
     ),
@@ -44,8 +38,7 @@ CONDITIONS = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("files", type=Path, nargs="+", metavar="STUDY.h5", help="files of --study")
-    parser.add_argument("--out", type=Path, metavar="PAGE.html", help="write tables and plots as a page")
-    parser.add_argument("--json", type=Path, metavar="OUT.json", help="write the numbers")
+    parser.add_argument("--out", type=Path, metavar="OUT.csv", help="write each participant's means")
     text = "ask the questionnaire in the terminal, or write it as a page that saves the answers"
     parser.add_argument("--form", nargs="?", const="", metavar="FORM.html", help=text)
     text = "add answers that such a page has saved"
@@ -91,58 +84,16 @@ def add_answers(args: argparse.Namespace) -> None:
 
 
 def show(args: argparse.Namespace) -> None:
-    """Print the comparison; write the page and the numbers."""
-    from display.study.comparison import compare_answers, compare_trials
+    """Print the comparison; write the participants' means."""
+    from display.study.comparison import compare_study, overview, table, write_csv
     from display.study.study_file import Study, read_study
-    from display.study.study_page import page
-    from display.timing import write_stats
 
     studies = [read_study(file) for file in args.files]
     study = Study([t for s in studies for t in s.trials], [a for s in studies for a in s.answers])
-    rows = [*compare_trials(study), *compare_answers(study)]
+    rows = compare_study(study)
     print(overview(study))
     for line in table(rows):
         print(line)
-    if args.json:
-        write_stats(args.json, [c.row() for c in rows])
     if args.out:
-        with atomic_write(args.out) as beside:
-            beside.write_text(page(study, rows, overview(study)), encoding="utf-8")
+        write_csv(args.out, rows)
         print(f"wrote {args.out}", file=sys.stderr)
-
-
-def overview(study: Study) -> str:
-    """Line that counts trials and answered questionnaires."""
-    from display.study.trial import MIXED
-
-    people = {t.participant for t in study.trials} | {a.participant for a in study.answers}
-    mixed = sum(t.setting == MIXED for t in study.trials)
-    left_out = f" ({mixed} with grips in both settings, left out)" if mixed else ""
-    return (
-        f"trials: {len(study.trials)}{left_out}; answered questionnaires: {len(study.answers)};"
-        f" named participants: {len(people - {''})}"
-    )
-
-
-def table(rows: Iterable[Comparison]) -> Iterable[str]:
-    """Lines of text: a block for each task."""
-    from display.study.trial import SETTINGS
-
-    task = None
-    for c in rows:
-        if c.task != task:
-            task = c.task
-            yield ""
-            yield f"{task:26}" + "".join(f"{s + ' (n)':>26}" for s in SETTINGS) + f"{'difference':>12}  test"
-        cells = "".join(f"{cell(c, s):>26}" for s in SETTINGS)
-        yield f"{c.measure:26}{cells}{number(c.difference):>12}  {c.test_text}"
-
-
-def cell(c: Comparison, setting: str) -> str:
-    """Mean and standard deviation of a setting, and its sample."""
-    return f"{number(c.mean(setting))} ± {number(c.spread(setting))} ({len(c.samples[setting])})"
-
-
-def number(value: float) -> str:
-    """Three digits, or a dash."""
-    return "-" if value != value else f"{value:.3g}"

@@ -10,9 +10,11 @@ import html
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 from assets.file_access import read_json
 from core.errors import BadInput
+from core.typed import Form, Range, Size, from_plain
 from display.study.trial import SETTINGS
 
 SCALE = 7  # from 1, not at all, to this, completely
@@ -42,6 +44,17 @@ class Answers:
     started: str = ""
 
 
+@dataclass(frozen=True)
+class AnswersFile:
+    """A file of answers, as the page saves it."""
+
+    format: Literal[FORMAT]
+    participant: Annotated[str, Size(TEXT_MAX), Form(r"(?s).*\S.*", "a name")]
+    setting: Literal[*SETTINGS]
+    answers: dict[Literal[*QUESTIONS], Annotated[int, Range(0, SCALE)]]
+    comment: Annotated[str, Size(TEXT_MAX)] = ""
+
+
 def ask(participant: str | None, setting: str | None, started: str, read: Callable[[str], str]) -> Answers:
     """Ask in the terminal; what is given is not asked for. Raises BadInput if the input ends."""
     try:
@@ -67,21 +80,9 @@ def ask_until(prompt: str, is_valid: Callable[[str], bool], read: Callable[[str]
 
 def read_answers_file(path: Path, started: str) -> Answers:
     """Answers as the page gives them. Raises BadInput."""
-    said = read_json(path, FILE_MAX)
-    if not isinstance(said, dict) or said.get("format") != FORMAT or not isinstance(said.get("answers"), dict):
-        raise BadInput(f"{path}: holds no answers to the questionnaire")
-    if said.get("setting") not in SETTINGS:
-        raise BadInput(f"{path}: its setting is neither {' nor '.join(SETTINGS)}")
-    unknown = set(said["answers"]) - set(QUESTIONS)
-    if unknown:
-        raise BadInput(f"{path}: answers {sorted(unknown)[0]!r}, which was not asked")
-    values = tuple(said["answers"].get(key, 0) for key in QUESTIONS)
-    if not all(type(v) is int and 0 <= v <= SCALE for v in values):
-        raise BadInput(f"{path}: an answer is no whole number from 1 to {SCALE}")
-    texts = said.get("participant"), said.get("comment", "")
-    if not all(isinstance(text, str) and len(text) <= TEXT_MAX for text in texts) or not texts[0].strip():
-        raise BadInput(f"{path}: does not say who answered")
-    return Answers(texts[0].strip(), said["setting"], values, texts[1], started)
+    said = from_plain(AnswersFile, read_json(path, FILE_MAX), str(path))
+    values = tuple(said.answers.get(key, 0) for key in QUESTIONS)
+    return Answers(said.participant.strip(), said.setting, values, said.comment, started)
 
 
 def form_page() -> str:

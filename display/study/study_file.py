@@ -1,4 +1,4 @@
-"""The file of a study: trials and answers of all its participants, in HDF5.
+"""The file of a study, HDF5: trials and answers of all its participants, and the log that adds the trials of a play.
 
 Root attributes: `format` "vrgs-study", `version`.
 
@@ -16,24 +16,54 @@ The file is replaced as a whole by one with more in it, so that it is complete a
 
 from __future__ import annotations
 
-import json
 import os
+import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
-from assets.file_access import atomic_write, locked
+from assets.file_access import atomic_write, check_writable, locked
 from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
-from display.study.questionnaire import QUESTIONS, SCALE, Answers
-from display.study.trial import MIXED, SETTINGS, Trial
+from core.errors import BadInput
+from core.typed import Size, from_json, to_json
+from display.protocol import Frame, WorldView
+from display.study.questionnaire import QUESTIONS, SCALE, TEXT_MAX, Answers
+from display.study.trial import MIXED, SETTINGS, Trial, TrialMeter
+from display.user_commands import PlayDemo, Reset, last_of
 
 FORMAT, VERSION = "vrgs-study", 1
 FLOATS = ("seconds", "first_grip", "goal", "hand_path", "body_path")
 INTEGERS = ("completed", "grips", "throws", "frames")
 NUMBER_MAX = 1e12  # of seconds, metres and scores: what is computed of them stays finite
-TEXTS = ("participant", "task", "setting", "device", "started")
+MIN_SECONDS = 1.0  # a shorter trial without any grip was none
+Text = Annotated[str, Size(TEXT_MAX)]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class TrialText:
+    """A line of trials/text."""
+
+    participant: Text
+    task: Text
+    setting: Literal[*SETTINGS, MIXED]
+    device: Text
+    started: Text
+    about: dict[Text, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class AnswersText:
+    """A line of answers/text."""
+
+    participant: Text
+    setting: Literal[*SETTINGS]
+    started: Text
+    comment: Text
 
 
 @dataclass
@@ -56,7 +86,7 @@ def read_study(path: str | Path) -> Study:
 
 def read_trials(file: Hdf5Reader) -> list[Trial]:
     """The trials of an open file."""
-    texts = json_lines(file, "trials/text", TEXTS)
+    texts = json_lines(file, "trials/text", TrialText)
     count = (len(texts),)
     floats = {name: file.floats(f"trials/{name}", count, np.float64) for name in FLOATS}
     integers = {name: file.indices(f"trials/{name}", count, np.int64) for name in (*INTEGERS, "scores")}
@@ -73,49 +103,38 @@ def read_trials(file: Hdf5Reader) -> list[Trial]:
         raise file.error("the scores do not belong to the trials")
     trials = []
     for k, text in enumerate(texts):
-        if text["setting"] not in (*SETTINGS, MIXED) or not isinstance(text.get("about", {}), dict):
-            raise file.error(f"trial {k + 1} is of no setting that there is")
-        numbers = {name: values[k].item() for name, values in (floats | integers).items() if name != "scores"}
-        numbers["completed"] = bool(numbers["completed"])
-        own = scores[ends[k] - integers["scores"][k] : ends[k]]
-        trials.append(Trial(**{t: text[t] for t in TEXTS}, about=text.get("about", {}), **numbers, scores=own))
+        trial = Trial(**vars(text), scores=scores[ends[k] - integers["scores"][k] : ends[k]])
+        for name, values in (floats | integers).items():
+            if name != "scores":
+                setattr(trial, name, values[k].item())
+        trial.completed = bool(trial.completed)
+        trials.append(trial)
     return trials
 
 
 def read_answers(file: Hdf5Reader) -> list[Answers]:
     """The answers of an open file."""
-    texts = json_lines(file, "answers/text", ("participant", "setting", "started", "comment"))
+    texts = json_lines(file, "answers/text", AnswersText)
     values = file.indices("answers/values", (len(texts), len(QUESTIONS)), np.int64)
     if values.size and values.max() > SCALE:
         raise file.error(f"an answer is greater than {SCALE}")
-    if any(text["setting"] not in SETTINGS for text in texts):
-        raise file.error("an answer is about no setting that there is")
     return [
-        Answers(text["participant"], text["setting"], tuple(row.tolist()), text["comment"], text["started"])
+        Answers(text.participant, text.setting, tuple(row.tolist()), text.comment, text.started)
         for text, row in zip(texts, values, strict=True)
     ]
 
 
-def json_lines(file: Hdf5Reader, name: str, texts: tuple[str, ...]) -> list[dict]:
-    """JSON objects, one a line, in which these entries are texts."""
-    try:
-        rows = [json.loads(line) for line in bytes(file.indices(name, (None,), np.uint8)).decode().splitlines()]
-    except (ValueError, RecursionError) as e:
-        raise file.error(f"{name} is not JSON, line by line") from e
-    for row in rows:
-        if not isinstance(row, dict) or not all(isinstance(row.get(key), str) for key in texts):
-            raise file.error(f"{name} has a line without {', '.join(texts)}")
-    return rows
+def json_lines(file: Hdf5Reader, name: str, kind: type[T]) -> list[T]:
+    """Values of this type, one a line."""
+    lines = file.indices(name, (None,), np.uint8).tobytes().splitlines()
+    return [from_json(kind, line, f"{file.path}: {name}, line {k}") for k, line in enumerate(lines, 1)]
 
 
 def write_study(path: str | Path, study: Study) -> None:
     """Write the file, whole or not at all, and onto the disk. Raises BadInput."""
     trials, answers = study.trials, study.answers
-    about = [{**{name: getattr(t, name) for name in TEXTS}, "about": t.about} for t in trials]
-    said = [
-        {"participant": a.participant, "setting": a.setting, "started": a.started, "comment": a.comment}
-        for a in answers
-    ]
+    about = [TrialText(t.participant, t.task, t.setting, t.device, t.started, t.about) for t in trials]
+    said = [AnswersText(a.participant, a.setting, a.started, a.comment) for a in answers]
     scores = np.concatenate([np.zeros((0, 2)), *(t.scores for t in trials)])
     with atomic_write(path) as beside:
         with new_hdf5(beside) as file:
@@ -127,7 +146,7 @@ def write_study(path: str | Path, study: Study) -> None:
                 write_dataset(file, f"trials/{name}", [getattr(t, name) for t in trials], np.int64)
             write_dataset(file, "trials/scores", [len(t.scores) for t in trials], np.int64)
             for name, lines in (("trials/text", about), ("answers/text", said)):
-                text = "".join(f"{json.dumps(line)}\n" for line in lines)
+                text = "".join(f"{to_json(line)}\n" for line in lines)
                 write_dataset(file, name, np.frombuffer(text.encode(), np.uint8), np.uint8)
             for name, column in (("scores/time", 0), ("scores/value", 1)):
                 write_dataset(file, name, scores[:, column], np.float64)
@@ -145,3 +164,72 @@ def add_to_study(path: str | Path, change: Callable[[Study], None]) -> Study:
         change(study)
         write_study(path, study)
     return study
+
+
+class StudyLog:
+    """`after` each frame, `close` at the end: each trial is written once it ends.
+
+    A trial begins with the play and with each reset. It ends when the score has reached the game's goal, and otherwise
+    with the next reset, a demonstration, or the play. Raises BadInput at once if `path` cannot be written; if that
+    happens later, a line says so and the play goes on.
+    """
+
+    def __init__(self, path: str | Path, *, participant: str, task: str, device: str, about: dict):
+        self.path = Path(path)
+        check_writable(self.path)
+        if self.path.exists():
+            read_study(self.path)
+        self._new = {"participant": participant, "task": task, "device": device, "about": about}
+        self._meter: TrialMeter | None = None
+        self._writer, self._begun = ThreadPoolExecutor(1), False
+
+    def __enter__(self) -> StudyLog:
+        return self
+
+    def __exit__(self, *error) -> None:
+        self.close()
+
+    def after(self, frame: Frame, world: WorldView) -> None:
+        """Take account of a frame, after the world's step."""
+        demo = last_of(PlayDemo, frame.commands)
+        restarts = last_of(Reset, frame.commands) is not None
+        if restarts or demo is not None:
+            self._end()
+        if restarts or not self._begun:
+            goal = getattr(world.scene.game, "goal", None)
+            self._meter, self._begun = TrialMeter(Trial(**self._new), goal), True
+        if world.demo:  # the scripted hand is no participant
+            self._meter = None
+        if self._meter is not None:
+            self._meter.after(frame, world)
+            if self._meter.over:
+                self._end()
+
+    def _end(self) -> None:
+        """Write the trial, if there is one: in a thread, since it takes longer than a frame."""
+        meter, self._meter = self._meter, None
+        trial = None if meter is None else meter.trial()
+        if trial is not None and (trial.grips or trial.seconds >= MIN_SECONDS):
+            self._writer.submit(self._write, trial)
+
+    def _write(self, trial: Trial) -> None:
+        try:
+            study = add_to_study(self.path, lambda study: study.trials.append(trial))
+        except BadInput as e:
+            print(f"vrgs: a trial is lost: {e}", file=sys.stderr)
+            return
+        print(f"{self.path}: {summary(trial)}; trial {len(study.trials)}", file=sys.stderr)
+
+    def close(self) -> None:
+        """End the trial, and wait until all is written. Further calls do nothing."""
+        self._end()
+        self._writer.shutdown()
+
+
+def summary(trial: Trial) -> str:
+    """A trial in half a line."""
+    who = f"{trial.participant}, " if trial.participant else ""
+    goal = " (goal reached)" if trial.completed else ""
+    return (
+        f"{who}{trial.task}, {trial.setting}: score {trial.score:g}{goal} in {trial.seconds:.1f} s, {trial.grips} grips"
+    )

@@ -62,16 +62,13 @@ def study_samples(folder: Path) -> list[Files]:
 
 
 def read_and_compare_study(path: Path) -> None:
-    """Read a study, compare what it holds, make the page."""
-    from commands.study import overview, table
-    from display.study.comparison import compare_answers, compare_trials
+    """Read a study, compare what it holds."""
+    from display.study.comparison import compare_study, overview, table
     from display.study.study_file import read_study
-    from display.study.study_page import page
 
     study = read_study(path)
-    rows = [*compare_trials(study), *compare_answers(study)]
-    list(table(rows))
-    page(study, rows, overview(study))
+    overview(study)
+    list(table(compare_study(study)))
 
 
 def state_samples(folder: Path) -> list[Files]:

@@ -1,4 +1,4 @@
-"""Swapchains and the composition layers made of them: both eyes' pictures with their depth, and a quad.
+"""Swapchains, and the composition layer made of them: both eyes' pictures with their depth.
 
 The bytes of a picture are as they are to be shown, so they go unchanged into a texture that is sRGB by its format: the
 runtime decodes them. A runtime without sRGB textures gets them decoded. Rows: the picture's first is the top, OpenGL's
@@ -14,10 +14,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 
-import numpy as np
-
 from core.errors import BadInput
-from display.xr.poses import position_rotation
 from render.renderer import DEPTH_FAR, DEPTH_NEAR
 
 DEPTH_EXTENSION = "XR_KHR_composition_layer_depth"
@@ -48,21 +45,45 @@ void main() {
 """
 
 
-def create_swapchain(xr, session, size: tuple[int, int], texture_format: int, *, depth: bool = False):
-    """Create a swapchain of 2-D textures of `size` (width, height) [px], for colour or for depth."""
-    flags = xr.SwapchainUsageFlags
-    attachment = flags.DEPTH_STENCIL_ATTACHMENT_BIT if depth else flags.COLOR_ATTACHMENT_BIT
-    info = xr.SwapchainCreateInfo(
-        usage_flags=attachment | flags.SAMPLED_BIT,
-        format=texture_format,
-        sample_count=1,
-        width=size[0],
-        height=size[1],
-        face_count=1,
-        array_size=1,
-        mip_count=1,
-    )
-    return xr.create_swapchain(session, info)
+class Swapchain:
+    """An XrSwapchain of 2-D textures of `size` (width, height) [px], for colour or for depth.
+
+    handle    None once it is closed
+    textures  OpenGL's names of its images
+    """
+
+    def __init__(self, xr, session, size: tuple[int, int], texture_format: int, *, depth: bool = False):
+        flags = xr.SwapchainUsageFlags
+        attachment = flags.DEPTH_STENCIL_ATTACHMENT_BIT if depth else flags.COLOR_ATTACHMENT_BIT
+        info = xr.SwapchainCreateInfo(
+            usage_flags=attachment | flags.SAMPLED_BIT,
+            format=texture_format,
+            sample_count=1,
+            width=size[0],
+            height=size[1],
+            face_count=1,
+            array_size=1,
+            mip_count=1,
+        )
+        self.xr, self.handle = xr, xr.create_swapchain(session, info)
+        images = xr.enumerate_swapchain_images(self.handle, xr.SwapchainImageOpenGLKHR)
+        self.textures = [image.image for image in images]
+
+    @contextlib.contextmanager
+    def acquired(self):
+        """Acquire the next image and wait for it; release it at the end. Yields its index."""
+        xr = self.xr
+        index = xr.acquire_swapchain_image(self.handle, xr.SwapchainImageAcquireInfo())
+        xr.wait_swapchain_image(self.handle, xr.SwapchainImageWaitInfo(timeout=xr.INFINITE_DURATION))
+        yield index
+        xr.release_swapchain_image(self.handle, xr.SwapchainImageReleaseInfo())
+
+    def close(self) -> None:
+        """Give the textures back. Further calls do nothing."""
+        handle, self.handle = self.handle, None
+        if handle is not None:
+            with contextlib.suppress(self.xr.exception.ResultException):  # it may have gone with its session
+                self.xr.destroy_swapchain(handle)
 
 
 def supported_format(xr, session, wanted: tuple[int, ...]) -> int | None:
@@ -71,45 +92,32 @@ def supported_format(xr, session, wanted: tuple[int, ...]) -> int | None:
     return next((f for f in wanted if f in offered), None)
 
 
-def image_names(xr, swapchain) -> list[int]:
-    """OpenGL's texture names of a swapchain's images."""
-    return [image.image for image in xr.enumerate_swapchain_images(swapchain, xr.SwapchainImageOpenGLKHR)]
-
-
-@contextlib.contextmanager
-def acquired_image(xr, swapchain):
-    """Acquire a swapchain's next image and wait for it; release it at the end. Yields its index."""
-    index = xr.acquire_swapchain_image(swapchain, xr.SwapchainImageAcquireInfo())
-    xr.wait_swapchain_image(swapchain, xr.SwapchainImageWaitInfo(timeout=xr.INFINITE_DURATION))
-    yield index
-    xr.release_swapchain_image(swapchain, xr.SwapchainImageReleaseInfo())
-
-
-class ColourSwapchain:
+class ColourTarget:
     """A swapchain of 8-bit colour textures of `size` (width, height) [px], as framebuffers to draw into.
 
     Raises BadInput where the runtime has no such format.
     """
 
     def __init__(self, runtime, session, gl, size: tuple[int, int], *, opaque: bool):
-        self.xr, self.size, self._gl = runtime.xr, size, gl
-        chosen = supported_format(self.xr, session, (SRGB8_ALPHA8, RGBA8))
+        self._gl, xr = gl, runtime.xr
+        chosen = supported_format(xr, session, (SRGB8_ALPHA8, RGBA8))
         if chosen is None:
             raise BadInput(f"--xr: {runtime.name} has neither sRGB nor plain textures of 8 bits")
         self._program = gl.program(VERTEX, FRAGMENT)
         self._program["opaque"], self._program["decode"] = opaque, chosen != SRGB8_ALPHA8
         self._triangle = gl.vertex_array(self._program, [])
-        self.handle = create_swapchain(self.xr, session, size, chosen)
-        textures = [gl.external_texture(name, size, 4, 0, "f1") for name in image_names(self.xr, self.handle)]
-        self._targets = [gl.framebuffer(color_attachments=[t]) for t in textures]
+        self.swapchain = Swapchain(xr, session, size, chosen)
+        textures = [gl.external_texture(name, size, 4, 0, "f1") for name in self.swapchain.textures]
+        self._framebuffers = [gl.framebuffer(color_attachments=[t]) for t in textures]
 
-    def draw(self, texture, *, first_row: int, size: tuple[int, int], depth: DepthSwapchain | None = None) -> None:
+    def draw(self, texture, *, first_row: int, size: tuple[int, int], depth: DepthTarget | None = None) -> None:
         """Draw `size` (width, height) [px] of a texture, from a row on, into the lower left of the next image."""
         gl = self._gl
         gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
-        with acquired_image(self.xr, self.handle) as index:
-            self._targets[index].use()
-            with depth.attached(self._targets[index]) if depth is not None else contextlib.nullcontext():
+        with self.swapchain.acquired() as index:
+            framebuffer = self._framebuffers[index]
+            framebuffer.use()
+            with depth.attached(framebuffer) if depth is not None else contextlib.nullcontext():
                 gl.viewport = (0, 0, *size)
                 texture.use(0)
                 self._program["rows"] = (first_row, size[1])
@@ -117,34 +125,30 @@ class ColourSwapchain:
 
     def close(self) -> None:
         """Give the textures back. Further calls do nothing."""
-        if self.handle is None:
-            return
-        for resource in (*self._targets, self._triangle, self._program):
-            resource.release()
-        handle, self.handle = self.handle, None
-        with contextlib.suppress(self.xr.exception.ResultException):  # it may have gone with its session
-            self.xr.destroy_swapchain(handle)
+        if self.swapchain.handle is not None:
+            for resource in (*self._framebuffers, self._triangle, self._program):
+                resource.release()
+            self.swapchain.close()
 
 
-class DepthSwapchain:
+class DepthTarget:
     """A swapchain of depth textures of `size` (width, height) [px] for one eye."""
 
     def __init__(self, xr, session, gl, texture_format: int, size: tuple[int, int]):
-        self.xr, self._gl = xr, gl
+        self._gl = gl
         kind = ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.c_uint, ctypes.c_uint, ctypes.c_uint, ctypes.c_int)
         self._attach = kind(gl.extra("glFramebufferTexture2D"))  # moderngl attaches no foreign depth texture
-        self.handle = create_swapchain(xr, session, size, texture_format, depth=True)
-        self._textures = image_names(xr, self.handle)
+        self.swapchain = Swapchain(xr, session, size, texture_format, depth=True)
         self._info = xr.CompositionLayerDepthInfoKHR(min_depth=0.0, max_depth=1.0, near_z=DEPTH_NEAR, far_z=DEPTH_FAR)
-        self._info.sub_image.swapchain = self.handle
+        self._info.sub_image.swapchain = self.swapchain.handle
 
     @contextlib.contextmanager
-    def attached(self, target):
-        """Let what is drawn into `target`, the framebuffer in use, leave its depth in the next image."""
+    def attached(self, framebuffer):
+        """Let what is drawn into a framebuffer, the one in use, leave its depth in the next image."""
         gl = self._gl
-        with acquired_image(self.xr, self.handle) as index:
-            self._attach(FRAMEBUFFER, DEPTH_ATTACHMENT, TEXTURE_2D, self._textures[index], 0)
-            target.depth_mask = True
+        with self.swapchain.acquired() as index:
+            self._attach(FRAMEBUFFER, DEPTH_ATTACHMENT, TEXTURE_2D, self.swapchain.textures[index], 0)
+            framebuffer.depth_mask = True
             gl.enable(gl.DEPTH_TEST)
             gl.depth_func = ALWAYS
             yield
@@ -156,13 +160,6 @@ class DepthSwapchain:
         self._info.sub_image.image_rect = rectangle
         return ctypes.cast(ctypes.pointer(self._info), ctypes.c_void_p)
 
-    def close(self) -> None:
-        """Give the textures back. Further calls do nothing."""
-        handle, self.handle = self.handle, None
-        if handle is not None:
-            with contextlib.suppress(self.xr.exception.ResultException):  # it may have gone with its session
-                self.xr.destroy_swapchain(handle)
-
 
 class EyeSwapchains:
     """A colour swapchain of `size` (width, height) [px] for each eye, and a depth one where the runtime takes depth.
@@ -173,14 +170,13 @@ class EyeSwapchains:
     def __init__(self, runtime, session, gl, size: tuple[int, int], views: int):
         self.xr, self.size = runtime.xr, size
         self._drawn = size  # of the last pictures
-        self._colour = [ColourSwapchain(runtime, session, gl, size, opaque=True) for _ in range(views)]
-        chosen = None
-        if DEPTH_EXTENSION in runtime.enabled:
-            chosen = supported_format(self.xr, session, DEPTH_FORMATS)
+        self._colour = [ColourTarget(runtime, session, gl, size, opaque=True) for _ in range(views)]
+        takes_depth = DEPTH_EXTENSION in runtime.enabled
+        chosen = supported_format(self.xr, session, DEPTH_FORMATS) if takes_depth else None
         self.has_depth = chosen is not None
-        self._depth: list[DepthSwapchain | None] = [None] * views
+        self._depth: list[DepthTarget | None] = [None] * views
         if self.has_depth:
-            self._depth = [DepthSwapchain(self.xr, session, gl, chosen, size) for _ in range(views)]
+            self._depth = [DepthTarget(self.xr, session, gl, chosen, size) for _ in range(views)]
 
     def draw(self, texture, size: tuple[int, int]) -> None:
         """Hand over the views of a picture, each of `size` [px], one below the other in a texture of that width."""
@@ -194,57 +190,21 @@ class EyeSwapchains:
         shown = [xr.CompositionLayerProjectionView() for _ in self._colour]
         for at, colour, depth, view in zip(shown, self._colour, self._depth, views, strict=True):
             at.pose, at.fov = view.pose, view.fov
-            set_sub_image(at.sub_image, colour.handle, self._drawn)
+            set_sub_image(at.sub_image, colour.swapchain, self._drawn)
             if depth is not None:
                 at.next = depth.chained(at.sub_image.image_rect)
         return xr.CompositionLayerProjection(space=space, views=shown)
 
     def close(self) -> None:
         """Give the textures back. Further calls do nothing."""
-        for swapchain in (*self._depth, *self._colour):
-            if swapchain is not None:
-                swapchain.close()
+        for depth, colour in zip(self._depth, self._colour, strict=True):
+            if depth is not None:
+                depth.swapchain.close()
+            colour.close()
 
 
-class QuadLayer:
-    """A picture of `size` (width, height) [px] on a rectangle in space, `width` [m] wide.
-
-    The runtime lays it into the world itself, as sharp as the headset can.
-    """
-
-    def __init__(self, runtime, session, gl, size: tuple[int, int], width: float):
-        self.xr, self.size, self.width = runtime.xr, size, width
-        self._swapchain = ColourSwapchain(runtime, session, gl, size, opaque=False)
-        self._texture = gl.texture(size, 4)
-
-    def draw(self, pixels: np.ndarray) -> None:
-        """Show a picture (H, W, 4) uint8, colours times alpha, row 0 on top."""
-        self._texture.write(pixels)
-        self._swapchain.draw(self._texture, first_row=0, size=self.size)
-
-    def layer(self, space, pose: np.ndarray):
-        """The quad layer of the last picture, centred at `pose` (4, 4) in `space`, facing its +z."""
-        xr = self.xr
-        quad = xr.CompositionLayerQuad(
-            layer_flags=xr.CompositionLayerFlags.BLEND_TEXTURE_SOURCE_ALPHA_BIT,
-            space=space,
-            eye_visibility=xr.EyeVisibility.BOTH,
-        )
-        set_sub_image(quad.sub_image, self._swapchain.handle, self.size)
-        position, (w, x, y, z) = position_rotation(pose)
-        quad.pose.position[:] = list(position)
-        quad.pose.orientation[:] = [x, y, z, w]
-        quad.size.width, quad.size.height = self.width, self.width * self.size[1] / self.size[0]
-        return quad
-
-    def close(self) -> None:
-        """Give the textures back."""
-        self._texture.release()
-        self._swapchain.close()
-
-
-def set_sub_image(sub_image, swapchain, size: tuple[int, int]) -> None:
+def set_sub_image(sub_image, swapchain: Swapchain, size: tuple[int, int]) -> None:
     """Let an XrSwapchainSubImage be the lower left `size` (width, height) [px] of a swapchain."""
-    sub_image.swapchain = swapchain
+    sub_image.swapchain = swapchain.handle
     sub_image.image_rect.offset[:] = [0, 0]
     sub_image.image_rect.extent[:] = list(size)

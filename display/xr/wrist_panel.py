@@ -34,8 +34,8 @@ from display.user_commands import Command
 from display.window.widgets import ACCENT, QUIET, font_file
 from display.xr.actions import PRESS_ABOVE, RELEASE_BELOW, Controller
 from display.xr.hand_joints import INDEX_TIP, PALM
-from display.xr.poses import pose_matrix
-from display.xr.swapchains import QuadLayer
+from display.xr.poses import pose_matrix, position_rotation
+from display.xr.swapchains import ColourTarget, set_sub_image
 
 PIXELS = (800, 512)  # (width, height)
 PANEL_WIDTH = 0.28  # [m]
@@ -326,10 +326,15 @@ class PanelContent:
 
 
 class PanelLayer:
-    """Quad layer of the panel; painted when its content has changed."""
+    """Quad layer of the panel, which the runtime lays into the world itself, as sharp as the headset can.
+
+    It is painted when its content has changed.
+    """
 
     def __init__(self, runtime, session, gl):
-        self._quad = QuadLayer(runtime, session, gl, PIXELS, PANEL_WIDTH)
+        self.xr = runtime.xr
+        self._target = ColourTarget(runtime, session, gl, PIXELS, opaque=False)
+        self._texture = gl.texture(PIXELS, 4)
         self._shown: PanelContent | None = None
         self._rate_read = 0.0  # [s] of monotonic()
         paint(PanelContent())  # reads the font
@@ -342,16 +347,29 @@ class PanelLayer:
         else:
             self._rate_read = now
         if content != self._shown:
-            self._quad.draw(paint(content))
+            self._texture.write(paint(content))
+            self._target.draw(self._texture, first_row=0, size=PIXELS)
             self._shown = content
 
     def layer(self, space, pose: np.ndarray):
-        """The composition layer, at `pose` (4, 4) in `space`."""
-        return self._quad.layer(space, pose)
+        """The composition layer, centred at `pose` (4, 4) in `space`, facing its +z."""
+        xr = self.xr
+        quad = xr.CompositionLayerQuad(
+            layer_flags=xr.CompositionLayerFlags.BLEND_TEXTURE_SOURCE_ALPHA_BIT,
+            space=space,
+            eye_visibility=xr.EyeVisibility.BOTH,
+        )
+        set_sub_image(quad.sub_image, self._target.swapchain, PIXELS)
+        position, (w, x, y, z) = position_rotation(pose)
+        quad.pose.position[:] = list(position)
+        quad.pose.orientation[:] = [x, y, z, w]
+        quad.size.width, quad.size.height = PANEL_WIDTH, PANEL_WIDTH * PIXELS[1] / PIXELS[0]
+        return quad
 
     def close(self) -> None:
         """Give the textures back."""
-        self._quad.close()
+        self._texture.release()
+        self._target.close()
 
 
 @cache

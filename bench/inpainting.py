@@ -47,25 +47,23 @@ def inpainting_section(folder: Path | None, results: dict, report: Callable[[str
     pictures = {f"{name}: photograph, taken out, inpainted, truth": row.pop("picture") for name, row in closed.items()}
     results["inpainting"] = {"steps": steps, "objects": rows}
     table = [
-        (name, *(f"{row['psnr'][when]:.1f} dB" for when in ("before", "after")), f"{1e4 * row['area']:.0f} cm²",
-         f"{row['deviation']:.1f}" if row["area"] else "–")
+        (name, *(f"{row['psnr'][when]:.1f} dB" for when in ("before", "after")), f"{1e4 * row['area']:.0f} cm²")
         for name, row in closed.items()
     ]  # fmt: skip
     return Section(
         TITLE,
         text,
         pictures,
-        Table(("object", "PSNR, taken out", "PSNR, inpainted", "seen by no camera", "deviation between views"), table),
+        Table(("object", "PSNR, taken out", "PSNR, inpainted", "seen by no camera"), table),
         f"{steps:,} steps of training. PSNR: against the scene without the object, over the pixels that it covered, in "
-        "all views. Deviation: of a place's colour from view to view, of 255. The object's shadow is taken away with "
-        "it." + refused,
+        "all views. The object's shadow is taken away with it." + refused,
     )
 
 
 def _measured(folder: Path, steps: int, report: Callable[[str], None], objects: int | None) -> dict[str, dict]:
     """Numbers and the picture of each object, or of the first few. Raises BadInput."""
     from prepare.inpaint import inpaint_pipeline as pipeline
-    from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
+    from prepare.inpaint.hole_patch import compare, uncovered_psnr
     from prepare.inpaint.picture_inpainting import paint_from_patches
     from prepare.progress import no_progress
     from prepare.train.photographs import load_photograph
@@ -90,13 +88,12 @@ def _measured(folder: Path, steps: int, report: Callable[[str], None], objects: 
         after = pipeline.close_hole(hole, textures, steps=pipeline.STEPS, **told)
         behind = [replace(v, image=folder / "behind" / name / v.image.name, mask=None) for v in capture.views]
         truths = [load_photograph(v) for v in behind]
-        views = [v for v in compare(hole, textures, before, after, truths, **options) if v.covered.any()]
+        views = [v for v in compare(hole.views, textures, before, after, truths, **options) if v.covered.any()]
         found[name] = {
             "gaussians": int(own.sum()),
             "new": len(after) - len(hole.background),
             "area": hole.area,
             "psnr": uncovered_psnr(views)["object"],
-            "deviation": inconsistency(views, textures, [v.after for v in views]),
             "picture": _strip(max(views, key=lambda v: int(v.hole.sum() or v.covered.sum())), photographs),
         }
     return found
@@ -133,7 +130,7 @@ def _strip(view, photographs) -> np.ndarray:
     """A view's photograph, and the pictures before, after and of the truth, side by side, (H, W, 3) uint8."""
     import cv2
 
-    from prepare.inpaint.hole_quality import cut_out
+    from prepare.inpaint.hole_patch import cut_out
 
     parts = [cut_out(photographs[view.view.index], view.view), view.before, view.after, view.truth]
     strip = np.concatenate(parts, axis=1)

@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> None:
         line += f", {patch} added over {hole.area:.3g} m^2 that no camera saw" if patch else "; no hole was left"
         print(line)
         if args.report:
-            reports.append(_measured(name, removed, hole, textures, background, after, truths, painter, options))
+            reports.append(_measured(name, removed, hole, textures, background, after, truths, options))
         background = after
     write_gaussians(args.out, background)
     seconds = time.perf_counter() - begin
@@ -166,24 +166,17 @@ def object_number(scene, name: str, path: Path) -> int:
     raise BadInput(f"{path}: holds no object {name}, only {', '.join(names.values())}")
 
 
-def _measured(name, removed, hole, textures, before, after, truths, painter, options) -> dict:
+def _measured(name, removed, hole, textures, before, after, truths, options) -> dict:
     """Numbers of an object's hole, and under "pictures" a picture for the report."""
-    from prepare.inpaint.hole_quality import compare, inconsistency, psnr_by_view, uncovered_psnr
+    from prepare.inpaint.hole_patch import compare, uncovered_psnr
 
-    views = compare(hole, textures, before, after, truths, **options)
+    views = compare(hole.views, textures, before, after, truths, **options)
     views = [v for v in views if v.covered.any()]
     numbers = {"object": name, "removed": len(removed), "new": len(after) - len(hole.background)}
     numbers |= {"unseen": hole.dropped, "area": hole.area, "views": len(views)}
     numbers["surfaces"] = [{"normal": t.surface.axes[2].tolist(), "area": t.area} for t in textures]
     if truths:
         numbers["psnr"] = uncovered_psnr(views)
-        numbers["psnr_by_view"] = psnr_by_view(views)
-    if textures:
-        numbers["inconsistency"] = {"after": inconsistency(views, textures, [v.after for v in views])}
-    if textures and truths:
-        alone = [painter(v.before, v.hole) if v.hole.any() else v.before for v in views[:: -(-len(views) // 8)]]
-        some = inconsistency(views[:: -(-len(views) // 8)], textures, alone)
-        numbers["inconsistency"]["each_view_painted_alone"] = some
     best = sorted(views, key=lambda v: -int(v.hole.sum() or v.covered.sum()))
     rows = []
     for v in best[:: max(1, len(best) // FIGURES)][:FIGURES]:
@@ -207,12 +200,6 @@ def _report(path: Path, objects: list[dict], whole: dict) -> None:
         rows = [("area of the hole [m^2]", f"{numbers['area']:.4g}"), ("new Gaussians", str(numbers["new"]))]
         for where, psnr in numbers.get("psnr", {}).items():
             rows += [(f"PSNR, pixels of the {where}, {when} [dB]", f"{value:.2f}") for when, value in psnr.items()]
-        if numbers.get("psnr_by_view"):
-            rows.append(
-                ("PSNR, pixels of the object, after, in the worst view [dB]", f"{min(numbers['psnr_by_view']):.2f}")
-            )
-        for when, value in numbers.get("inconsistency", {}).items():
-            rows.append((f"deviation between views, {when.replace('_', ' ')} [of 255]", f"{value:.2f}"))
         sections.append(Section(numbers["object"], columns, shown, Table(("", ""), rows)))
         sheet += pictures
     text = f"{whole['gaussians']} Gaussians, {whole['seconds']:.0f} s"

@@ -1,6 +1,9 @@
-"""The patch of new Gaussians over a hole: seeded on its surfaces, and trained with all others frozen."""
+"""The patch of new Gaussians over a hole: seeded on its surfaces, and trained with all others frozen; its quality."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -9,8 +12,8 @@ from scipy.ndimage import binary_dilation
 from assets.gaussians import SH_COUNTS, Gaussians, concatenate
 from core.rotation import quaternions_from_matrices
 from core.spherical_harmonics import C0
-from prepare.inpaint.hole_views import SOLID, HoleView
-from prepare.inpaint.surface_texture import SurfaceTexture
+from prepare.inpaint.hole_views import SOLID, Drawing, HoleView
+from prepare.inpaint.support_surface import SurfaceTexture
 from prepare.progress import Progress
 from prepare.train.densification import logit
 from prepare.train.photographs import Photograph
@@ -21,6 +24,7 @@ WIDTH, THICKNESS = 0.6, 0.1  # standard deviations along the surface and across 
 RIM = 8  # [px] around the hole in which the patch must not change the picture
 VIEWS_MAX = 16  # views used in training
 HOLE_PIXELS = 20  # a view that shows fewer is not used
+PSNR_MAX = 99.0  # [dB] reported for equal pictures
 
 
 def seed_patch(texture: SurfaceTexture, background: Gaussians, degree: int) -> Gaussians:
@@ -108,3 +112,67 @@ def train_patch(
     grown = trainer.population.gaussians()
     trainer.destroy()
     return grown.select(slice(len(background), None))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Pictures of a view, (H, W, 3) float32: before and after, and the truth or None; and its pixels (H, W) bool:
+    that the object covered, and of the hole."""
+
+    view: HoleView
+    before: np.ndarray
+    after: np.ndarray
+    truth: np.ndarray | None
+    covered: np.ndarray
+    hole: np.ndarray
+
+
+def compare(
+    views: list[HoleView],
+    textures: list[SurfaceTexture],
+    before: Gaussians,
+    after: Gaussians,
+    truths: Sequence[Photograph | None],
+    *,
+    antialias: bool,
+    sort: str,
+) -> list[Comparison]:
+    """Each view of a hole before and after; `truths`: photographs without the object, one a camera, or empty."""
+    cameras = [v.camera for v in views]
+    drawings = [Drawing(g, cameras, antialias=antialias, sort=sort) for g in (before, after)]
+    found = []
+    for view in views:
+        pictures = [drawing(view.camera)[0].clip(0.0, 1.0) for drawing in drawings]
+        photograph = truths[view.index] if truths else None
+        truth = None if photograph is None else cut_out(photograph, view)
+        found.append(Comparison(view, *pictures, truth, view.in_front(), target(view, textures)[1]))
+    for drawing in drawings:
+        drawing.destroy()
+    return found
+
+
+def cut_out(photograph: Photograph, view: HoleView) -> np.ndarray:
+    """The part of a photograph that a view shows, in its size, (H, W, 3) float32."""
+    cut, whole = view.camera, photograph.camera
+    sx, sy = cut.fx / whole.fx, cut.fy / whole.fy
+    x, y = round(whole.cx - cut.cx / sx), round(whole.cy - cut.cy / sy)
+    part = photograph.pixels[y : y + round(cut.height / sy), x : x + round(cut.width / sx)]
+    return cv2.resize(part, (cut.width, cut.height), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+
+
+def uncovered_psnr(views: list[Comparison]) -> dict[str, dict[str, float]]:
+    """PSNR [dB] before and after, over all pixels that the object covered, and over those of the hole."""
+    found = {}
+    for name, pixels in (("object", "covered"), ("hole", "hole")):
+        error = {}
+        for when in ("before", "after"):
+            squares = [(getattr(v, when) - v.truth)[getattr(v, pixels)] ** 2 for v in views if v.truth is not None]
+            squares = np.concatenate([np.zeros((0, 3)), *squares])
+            if len(squares):
+                error[when] = _psnr(squares)
+        found[name] = error
+    return found
+
+
+def _psnr(squares: np.ndarray) -> float:
+    return float(min(PSNR_MAX, -10 * np.log10(max(squares.mean(), 1e-12))))

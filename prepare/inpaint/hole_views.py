@@ -37,6 +37,7 @@ AROUND_SIDE, AROUND_SIDE_FULL = 96, 320  # [px] of a trial, and of a view that i
 AROUND_MAX = 24  # views kept at most
 AROUND_DISTANCE = 4.0  # radii of the object
 FREE = 0.7  # share of an object's pixels that must be in front of the background
+_kept: list[tuple[tuple, Splats, Renderer]] | None = None  # of Drawings that were destroyed, by their options
 
 
 @dataclass(frozen=True)
@@ -182,9 +183,6 @@ def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
         (camera.cy - low[1]) * sy,
         camera.world_to_camera,
     )
-
-
-_kept: list[tuple[tuple, Splats, Renderer]] | None = None  # of Drawings that were destroyed, by their options
 
 
 @contextmanager

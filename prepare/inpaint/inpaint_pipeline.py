@@ -15,8 +15,7 @@ from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, targe
 from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, within_object
 from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, views_of, without_shadow
 from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
-from prepare.inpaint.support_surface import part_of_surface, support_surfaces
-from prepare.inpaint.surface_texture import SurfaceTexture, shows_colors, texture_of
+from prepare.inpaint.support_surface import SurfaceTexture, part_of_surface, shows_colors, support_surfaces, texture_of
 from prepare.progress import Progress, no_progress
 from prepare.train.photographs import Photograph
 

@@ -22,8 +22,7 @@ from assets.gaussians import Gaussians
 from core.camera import look_at, perspective
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, image_positions, nearest_pixels
-from prepare.inpaint.support_surface import normals_of
-from prepare.inpaint.surface_texture import SurfaceTexture
+from prepare.inpaint.support_surface import SurfaceTexture, normals_of
 from prepare.progress import Progress
 
 DIRECTIONS = 64  # over the half sphere above the surface

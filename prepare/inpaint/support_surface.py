@@ -1,16 +1,22 @@
-"""Support surfaces of an object: the planes that it stands on or leans against, and their smooth relief."""
+"""Support surfaces of an object, the planes that it stands on or leans against, and their textures.
+
+A texture holds the part that cameras saw, and the hole that none saw.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
+import cv2
 import numpy as np
 from scipy.interpolate import RBFInterpolator
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, binary_opening, binary_propagation, distance_transform_edt, label
 from scipy.spatial import cKDTree
 
-from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings
+from core.threads import in_threads
+from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
 
 POINTS, POINTS_MIN = 6000, 50  # sampled on the background around the object, from all views
 OBJECT_POINTS = 2000  # sampled on the object
@@ -26,6 +32,24 @@ PART_SHARE = 0.06, 0.5  # least and most of an object that may be a part of its 
 HALO = 2  # [px] around the object in which its colour leaks into the background
 RELIEF_POINTS, RELIEF_POINTS_MIN = 300, 20
 SMOOTHING = 0.1  # of the thin-plate spline, with the hole's size as the unit
+REACH = 1.7  # half the side of the texture, in radii of the object
+TEXELS = (96, 384)  # least and most along a side
+NEAR_SURFACE = 0.04  # radii: a pixel whose depth is this near shows the surface
+GRAZING = 0.12  # cosine of the steepest angle from which a surface is sampled
+SEEN_SHARE = 0.05  # share of the views that must show a texel; fewer are glimpses or noise of the depth
+EMPTY_SHARE = (
+    0.25  # share of the views that must see through it, of those past the object beside such texels; fewer graze a dent
+)
+COVERED_SHARE = 0.3  # share of the views in which the object must cover it; else something else hides it
+LEAK, RIM = 2, 6  # texels repainted around a hole, and compared for its known share
+SLIVER = 2  # texels: half the width of a gap that is a dent at the object's foot, not the end of the surface
+ROW = 1024  # texels sampled per row (cv2.remap limits rows)
+HOLE_MIN = 4  # texels of a connected hole; smaller ones are noise of the depth
+EDGE_POINTS = 50, 400  # least and most from which a surface's edge is continued
+HUE = 0.15  # largest distance of RGB, 0..1, from a shade of a surface's colour
+COLORS = 500  # texels that colours are compared with
+COMMON = 0.05  # share of the texels that have a colour of the surface; fewer are of things on it
+SURE = 0.5  # share of the views past the object that must show no surface, where there are no photographs
 
 
 @dataclass(frozen=True)
@@ -188,3 +212,224 @@ def fit_relief(surface: SupportSurface, at: np.ndarray, heights: np.ndarray, uni
         return surface
     plate = RBFInterpolator(at[chosen] / unit, heights[chosen] / unit, kernel="thin_plate_spline", smoothing=SMOOTHING)
     return replace(surface, relief=lambda places: unit * plate(places / unit))
+
+
+@dataclass(frozen=True)
+class SurfaceTexture:
+    """Square texels of a support surface, (H, W).
+
+    corner  place [m] (2,) of the first texel's outer corner; `texel` [m] is its side
+    color   (H, W, 3) float32, 0..1; black where it is not known
+    known   bool: a camera saw the surface there
+    hole    bool: no camera saw whether there is a surface, as the object was in front
+    rim     share of the hole's rim that is known: low where the surface ends at the hole
+    """
+
+    surface: SupportSurface
+    corner: np.ndarray
+    texel: float
+    color: np.ndarray
+    known: np.ndarray
+    hole: np.ndarray
+    rim: float = 1.0
+
+    def places(self) -> np.ndarray:
+        """Places [m] (H, W, 2) of the texels' middles."""
+        y, x = np.mgrid[: self.hole.shape[0], : self.hole.shape[1]]
+        return self.corner + self.texel * (np.stack([x, y], axis=-1) + 0.5)
+
+    def sample(self, values: np.ndarray, places: np.ndarray, *, linear: bool = True) -> np.ndarray:
+        """Values (H, W, ...) of texels at places (..., 2) [m], 0 outside."""
+        at = ((places - self.corner) / self.texel - 0.5).astype(np.float32).reshape(-1, 2)
+        rows = np.full((-(-len(at) // ROW), ROW, 2), -2.0, np.float32)  # cv2.remap takes no row of 32,768 and more
+        rows.reshape(-1, 2)[: len(at)] = at
+        flag = cv2.INTER_LINEAR if linear else cv2.INTER_NEAREST
+        found = cv2.remap(values, rows[..., 0], rows[..., 1], flag, borderMode=cv2.BORDER_CONSTANT)
+        return found.reshape(-1, *values.shape[2:])[: len(at)].reshape(*places.shape[:-1], *values.shape[2:])
+
+    @cached_property
+    def relief(self) -> np.ndarray:
+        """Height [m] (H, W) of the surface over its plane, in and around the hole; 0 elsewhere."""
+        near, heights = binary_dilation(self.hole, iterations=RIM), np.zeros(self.hole.shape, np.float32)
+        heights[near] = self.surface.heights(self.places()[near])
+        return heights
+
+    @property
+    def area(self) -> float:
+        """Area of the hole [m^2]."""
+        return float(self.hole.sum()) * self.texel**2
+
+
+def texture_of(
+    surface: SupportSurface,
+    others: list[SupportSurface],
+    views: list[HoleView],
+    ball: Surroundings,
+    *,
+    photographed: bool,
+) -> SurfaceTexture:
+    """The texture of a surface from all views, and its hole.
+
+    others        surfaces that bound this one: it does not continue behind them
+    photographed  True if the cameras took photographs: then a hole is what none of them saw, even if something is
+                  rendered there; else a hole is where nothing is rendered.
+    """
+    footprint = np.median([_footprint(v, ball) for v in views])
+    count = int(np.clip(2 * REACH * ball.radius / footprint, *TEXELS))
+    nothing = np.zeros((count, count), bool)
+    color = np.zeros((count, count, 3), np.float32)
+    corner, texel = np.full(2, -REACH * ball.radius), 2 * REACH * ball.radius / count
+    texture = SurfaceTexture(surface, corner, texel, color, nothing, nothing)
+    places = texture.places()
+    tolerance = max(NEAR_SURFACE * ball.radius, 3 * surface.spread)
+    seen = _seen(texture, surface.points(places), views, tolerance)
+    known, empty = seen.known, seen.empty
+    surface = fit_relief(surface, places[known], seen.height[known], ball.radius)
+    points = surface.points(places)
+    beyond = np.zeros_like(known)
+    for other in others:
+        beyond |= other.local(points)[..., 2] < 0.5 * texel
+    hole = ~known & ~empty & seen.covered & ~beyond & goes_on(known, empty)
+    if not photographed:
+        hole &= seen.lacking
+    hole = _without_specks(hole)
+    if hole.any():  # its rim is repainted, as the object's colour leaks there
+        hole = binary_dilation(hole, iterations=LEAK) & ~empty & ~beyond
+    known &= ~hole
+    around = binary_dilation(hole, iterations=RIM) & ~hole & ~beyond
+    rim = float(known[around].mean()) if around.any() else 1.0
+    again = _seen(texture, points, views, tolerance)  # where the relief is
+    known, color = known & again.known, again.color
+    color = np.where(known[..., None], color, 0.0).clip(0.0, 1.0).astype(np.float32)
+    return replace(texture, surface=surface, color=color, known=known, hole=hole, rim=rim)
+
+
+def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
+    """Mask (H, W) of where a surface is, seen or not, that was seen to be (`known`) and to end (`empty`).
+
+    Its edge goes on where nothing was seen as it runs beside it: the zero of a thin plate through signed distances.
+    """
+    if not known.any() or not empty.any():
+        return np.full(known.shape, known.any())
+    to = [distance_transform_edt(~mask) for mask in (known, empty)]
+    unseen = distance_transform_edt(~binary_opening(~(known | empty), iterations=SLIVER))
+    distance = np.where(known, to[1], -to[0])
+    sure = (known | empty) & (np.abs(distance) <= unseen)  # nothing unseen is nearer than the edge
+    y, x = np.nonzero(sure)
+    if len(y) < EDGE_POINTS[0]:
+        return to[0] <= to[1]
+    chosen = np.random.default_rng(0).permutation(len(y))[: EDGE_POINTS[1]]
+    at, unit = np.stack([y, x], axis=-1)[chosen].astype(float), float(max(known.shape))
+    plate = RBFInterpolator(at / unit, distance[sure][chosen] / unit, kernel="thin_plate_spline", smoothing=0.01)
+    there = known.copy()
+    y, x = np.nonzero(~(known | empty))
+    if len(y):
+        there[y, x] = plate(np.stack([y, x], axis=-1) / unit) > 0
+    return there
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Texels (H, W) of what all views show: the surface is known, or ends; the object covered it, and nothing was drawn
+    where it should be then; the mean height [m] and the colour (H, W, 3) of what shows."""
+
+    known: np.ndarray
+    empty: np.ndarray
+    covered: np.ndarray
+    lacking: np.ndarray
+    height: np.ndarray
+    color: np.ndarray
+
+
+def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> _Seen:
+    """Observations of the surface's points (H, W, 3) by the views, within a tolerance [m].
+
+    The colour is that of the view that shows a texel largest and least slanted.
+    """
+    shape = texture.hole.shape
+    looking, shown, through, covered, lacking = (np.zeros(shape, np.int32) for _ in range(5))
+    heights, color, best = np.zeros(shape), np.zeros((*shape, 3), np.float32), np.zeros(shape)
+    looks = in_threads(lambda view: _look(texture, points, view, tolerance), views)
+    for look, view in zip(looks, views, strict=True):
+        looking += look.inside
+        shown += look.shows
+        through += look.behind
+        covered += look.covered
+        lacking += look.lacks
+        heights += np.where(look.shows, look.height, 0.0)
+        x, y = look.at[..., 0], look.at[..., 1]
+        drawn = cv2.remap(view.color, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        better = look.merit > best
+        color[better], best[better] = drawn[better], look.merit[better]
+    known = (shown > through) & (shown > SEEN_SHARE * looking)
+    empty = binary_opening(~known & (through > EMPTY_SHARE * looking), iterations=SLIVER)
+    past = binary_opening(~known & (through > EMPTY_SHARE * (looking - covered)), iterations=SLIVER)
+    empty = binary_propagation(empty, mask=empty | past)  # beside a plinth most views show the object before the air
+    height = heights / np.maximum(shown, 1)
+    return _Seen(known, empty, covered > COVERED_SHARE * looking, lacking > SURE * covered, height, color)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Classes of the texels that a view looks at: the surface, something behind it, the object before it (and nothing
+    where the surface should be then); the height [m] of what it shows, how large it is seen, and the pixels' places."""
+
+    inside: np.ndarray
+    shows: np.ndarray
+    behind: np.ndarray
+    covered: np.ndarray
+    lacks: np.ndarray
+    height: np.ndarray
+    merit: np.ndarray
+    at: np.ndarray
+
+
+def _look(texture: SurfaceTexture, points: np.ndarray, view: HoleView, tolerance: float) -> _Look:
+    at, z, cosine = projected(view, points, texture.surface.axes[2])
+    inside = (z > 0) & (cosine > GRAZING)
+
+    alpha = nearest_pixels(view.alpha, at, -1.0)
+    inside &= alpha >= 0
+    touched = binary_dilation(view.object_alpha > TRACE, iterations=1).astype(np.float32)
+    depth_of_object = nearest_pixels(view.object_depth, at, 0.0)
+    # The point on the ray of a texel at another depth is off the plane by this:
+    slope = -cosine * np.linalg.norm(points - view.camera.position, axis=-1) / np.maximum(z, 1e-9)
+    before = (nearest_pixels(touched, at, 0.0) > 0) & ((depth_of_object - z) * slope > -tolerance)
+    height = (nearest_pixels(view.depth, at, 0.0) - z) * slope
+    solid = alpha > SOLID
+    shows = inside & ~before & solid & (np.abs(height) < tolerance)
+    behind = inside & ~before & (~solid | (height < -2 * tolerance))
+    covered = inside & before
+    lacks = covered & (~solid | (height < -tolerance))
+    merit = np.where(shows, cosine / np.maximum(z / view.camera.fx, 1e-12), 0.0)
+    return _Look(inside, shows, behind, covered, lacks, height.astype(np.float32), merit.astype(np.float32), at)
+
+
+def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions for cv2.remap (..., 2) float32 of points (..., 3), their depth z [m], and the cosine of the view."""
+    at, z = image_positions(view.camera, points)
+    rays = view.camera.position - points
+    cosine = rays @ normal / np.maximum(np.linalg.norm(rays, axis=-1), 1e-12)
+    return at, z, cosine
+
+
+def _footprint(view: HoleView, ball: Surroundings) -> float:
+    """Size [m] of a pixel at the object's distance."""
+    return float(np.linalg.norm(view.camera.position - ball.centre)) / view.camera.fx
+
+
+def shows_colors(texture: SurfaceTexture, colors: np.ndarray) -> np.ndarray:
+    """Mask (N,) of the RGB colours (N, 3) that a surface shows, in any shade."""
+    shown = texture.color[texture.known].astype(np.float64)
+    if not len(shown):
+        return np.zeros(len(colors), bool)
+    shown = shown[:: -(-len(shown) // COLORS)]
+    hues = shown / np.maximum(np.linalg.norm(shown, axis=1, keepdims=True), 1e-6)
+    off = (colors**2).sum(axis=1, keepdims=True) - (colors @ hues.T).clip(0.0) ** 2
+    return (off < HUE**2).mean(axis=1) > COMMON
+
+
+def _without_specks(hole: np.ndarray) -> np.ndarray:
+    labels, _ = label(hole)
+    sizes = np.bincount(labels.ravel())
+    return hole & (sizes[labels] >= HOLE_MIN)

@@ -5,8 +5,7 @@ import pytest
 
 from assets.gaussians import Gaussians
 from prepare.inpaint.hole_patch import seed_patch
-from prepare.inpaint.support_surface import SupportSurface
-from prepare.inpaint.surface_texture import SurfaceTexture
+from prepare.inpaint.support_surface import SupportSurface, SurfaceTexture
 
 
 def seeds(background_spacing: float, texels: int = 96) -> Gaussians:

@@ -14,12 +14,19 @@ from assets.splat_files import read_gaussians, write_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.spherical_harmonics import C0
-from prepare.inpaint.hole_quality import compare, inconsistency, psnr_by_view, uncovered_psnr
+from prepare.inpaint.hole_patch import compare, uncovered_psnr
 from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera, draw_views, kept_drawings
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
 from prepare.inpaint.picture_inpainting import paint_from_patches
-from prepare.inpaint.support_surface import SupportSurface, part_of_surface, support_surfaces, unproject
-from prepare.inpaint.surface_texture import SurfaceTexture, shows_colors, texture_of
+from prepare.inpaint.support_surface import (
+    SupportSurface,
+    SurfaceTexture,
+    part_of_surface,
+    shows_colors,
+    support_surfaces,
+    texture_of,
+    unproject,
+)
 from prepare.progress import no_progress
 from prepare.room_capture.room_pipeline import without_supports
 from prepare.train.photographs import Photograph
@@ -113,7 +120,7 @@ def closed(shadowed):
 def views(closed):
     """Pictures before and after, and of the whole table."""
     hole, textures, after = closed
-    return compare(hole, textures, hole.background, after, truths(hole), antialias=False, sort="radial")
+    return compare(hole.views, textures, hole.background, after, truths(hole), antialias=False, sort="radial")
 
 
 def truths(hole) -> list[Photograph]:
@@ -150,14 +157,10 @@ def test_only_what_no_camera_saw_is_a_hole(closed):
     assert 0 < hole.dropped < len(table()) // 5
 
 
-def test_the_hole_is_closed_as_the_table_was_and_the_same_from_all_sides(closed, views):
-    _, textures, _ = closed
-    psnr, each = uncovered_psnr(views), psnr_by_view(views)
-    assert len(each) == len(views) and min(each) > 23.0 and min(each) < psnr["object"]["after"] < max(each)
+def test_the_hole_is_closed_as_the_table_was_from_all_sides(views):
+    psnr = uncovered_psnr(views)
     assert psnr["hole"]["before"] < 15.0 and psnr["hole"]["after"] > 22.0 and psnr["object"]["after"] > 25.0
-    assert inconsistency(views, textures, [v.after for v in views]) < 8.0
-    flat_grey = [np.random.default_rng(0).random(v.after.shape, np.float32) for v in views]
-    assert inconsistency(views, textures, flat_grey) > 30.0  # the measure tells
+    assert min(uncovered_psnr([view])["object"]["after"] for view in views) > 23.0
 
 
 def test_the_shadow_goes_with_the_object(shadowed, closed):
@@ -406,7 +409,7 @@ def test_the_command_writes_the_scene_and_a_report(closed, views, tmp_path, caps
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.find_hole", lambda *_, **__: hole)
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.take_shadow", lambda *_, **__: hole)
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.close_hole", lambda *_, **__: after)
-    monkeypatch.setattr("prepare.inpaint.hole_quality.compare", lambda *_, **__: views)
+    monkeypatch.setattr("prepare.inpaint.hole_patch.compare", lambda *_, **__: views)
     assert main([*line, "--remove", "ball", "--report", str(report)]) == 0
     check_written(tmp_path, report, capsys, len(hole.background))
 

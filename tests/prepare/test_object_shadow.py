@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from assets.gaussians import Gaussians
 from prepare.inpaint.hole_views import Surroundings
 from prepare.inpaint.object_shadow import DARKEST, ObjectShadow, find_shadow, fit_light, half_sphere, without_shadow
-from prepare.inpaint.support_surface import SupportSurface
-from prepare.inpaint.surface_texture import SurfaceTexture, goes_on
+from prepare.inpaint.support_surface import SupportSurface, SurfaceTexture, goes_on
 
 N, J = 600, 24
 

@@ -48,7 +48,7 @@ class Clock:
         self._last: int | None = None
 
     def rest(self) -> None:
-        """Pause while nothing is shown; the world continues from where it was."""
+        """Pause while nothing is shown."""
         self._last = None
 
     def advance(self, shown: int, period: int, cost: float | None) -> Tick:

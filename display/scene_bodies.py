@@ -91,7 +91,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
     if asset.sdf is not None:
         d = asset.sdf
         sdf = DistanceGrid(np.asarray(d.values, np.float32) * s, np.asarray(d.origin) * s, float(d.spacing) * s)
-    led = None if asset.animation is None else asset.animation.vertices[asset.animation.driven]
+    driven = None if asset.animation is None else asset.animation.vertices[asset.animation.driven]
     fixed = None if body.fixed_below is None else np.flatnonzero(asset.cage.vertices[:, 1] < body.fixed_below)
     soft = SoftBody(
         name=body.asset,
@@ -103,8 +103,8 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         position=body.position,
         velocity=body.velocity,
         sdf=sdf,
-        pinned=fixed if led is None else led,
-        self_contact=True if led is None else "parts",
+        pinned=fixed if driven is None else driven,
+        self_contact=True if driven is None else "parts",
         asleep=body.asleep,
     )
     part = EmbeddedBody(

@@ -103,7 +103,7 @@ class World(WorldView):
         self.refresh()
 
     def warm_up(self) -> None:
-        """Compile all that play may need, so that nothing interrupts it; the scene is at its start afterwards."""
+        """Compile all kernels that a play may need, then reset the scene."""
         self.device.solver.warm_up()
         self.registry.warm_up()
         self.registry.step(SCRIPT_DT, [Hand()])
@@ -112,7 +112,7 @@ class World(WorldView):
         self.stats()
 
     def draw_start(self) -> None:
-        """Let `picture` be what the scene's eye sees."""
+        """Draw the view of the scene's eye."""
         width, height = self.picture_size
         view = look_at(self.scene.eye, self.scene.target)
         self.draw([perspective(width, height, self.scene.fov_y, view)] * self.device.views)
@@ -231,7 +231,7 @@ class World(WorldView):
     # commands
 
     def apply(self, commands: Sequence[Command]) -> None:
-        """Carry out the commands of a frame in their order (display/protocol.py)."""
+        """Carry out the commands of a frame, in the order of display/user_commands.py."""
         demo, light = last_of(PlayDemo, commands), last_of(SetLight, commands)
         interaction, pause = last_of(SetInteraction, commands), last_of(Pause, commands)
         if demo is not None and demo.on:
@@ -284,7 +284,7 @@ class World(WorldView):
         self.refresh()
 
     def refresh(self) -> None:
-        """Take note of bodies that an edit has moved or changed; the next picture shows them."""
+        """Read the bodies again after an edit; the next picture shows them."""
         self._bodies = self.device.solver.bodies()
         self._deform_due = True
         if not self._commanding:
@@ -300,16 +300,16 @@ class World(WorldView):
         self.device.solver.gravity = tuple(float(np.clip(g, -MAX_GRAVITY, MAX_GRAVITY)) for g in gravity)
 
     def set_time_scale(self, scale: float) -> None:
-        """Let time pass more slowly, or as usual: 1."""
+        """Slow time down; 1 is real time."""
         self.time_scale = float(np.clip(scale, MIN_TIME_SCALE, 1.0))
 
     def settle(self) -> None:
-        """Go on from here as from a saved state: contacts' impulses and the like are forgotten, grips are not."""
+        """Continue as if this state had been saved and loaded: warm starts of contacts are dropped, grips are kept."""
         self.registry.rebase_animations()
         self.device.solver.restore(self.device.solver.snapshot())
 
     def load_state(self, path: str | Path) -> None:
-        """Go on from a saved state, which undo takes back; a notice says why if that cannot be."""
+        """Load a saved state, which can be undone; a notice says why if that fails."""
         from display.keep.scene_state import put_state
         from display.keep.state_file import read_state
 
@@ -328,7 +328,7 @@ class World(WorldView):
         return WorldSnapshot(self.registry.snapshot(), self.time, self.backlog, game, self.room.pose)
 
     def restore(self, snapshot: WorldSnapshot) -> None:
-        """Bring a state back; a demo ends."""
+        """Restore a state; a demo ends."""
         self._end_demo()
         self.registry.restore(snapshot.bodies)
         self.room.place(snapshot.room)
@@ -338,9 +338,9 @@ class World(WorldView):
         self.refresh()
 
     def add_body(self, asset: str, name: str = "") -> None:
-        """Put a body made of an asset over the play, under a name; it can be undone.
+        """Add a body made of an asset above the play, under a name; this can be undone.
 
-        Raises BadInput: CapacityError where a world with `reserve` for it is needed.
+        Raises BadInput, as CapacityError where a world with `reserve` for it is needed.
         """
         self.editor.add(asset, name)
 
@@ -350,11 +350,11 @@ class World(WorldView):
         return self.registry.guests
 
     def adopt(self, snapshot: WorldSnapshot) -> None:
-        """Bring the state of another world of the same scene, which may be closed."""
+        """Take over the state of another world of the same scene, which may be closed."""
         self.restore(replace(snapshot, bodies=self.registry.adopted(snapshot.bodies)))
 
     def close(self) -> None:
-        """Let go of all that the device holds, whoever still refers to this world, which cannot be used any more."""
+        """Free the device memory, even if something still refers to this world, which cannot be used any more."""
         del self.device, self.registry, self.editor, self.room
 
     def scripted_hands(self, time: float) -> list[Hand]:

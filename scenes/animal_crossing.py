@@ -23,7 +23,7 @@ SETTLE_TIME = 1.2  # [s] between the last of these and the first stroke
 
 @dataclass
 class Guest:
-    """An animal: height as modelled [m], y of its axis when it stands, for how long it was stroked [s], if at home."""
+    """An animal: height as modelled [m], y of its axis when upright, time it was stroked [s], whether it is home."""
 
     height: float
     upright: float
@@ -31,12 +31,12 @@ class Guest:
     placed: bool = False
 
     def stands(self, body: BodyState) -> bool:
-        """Test if it is as upright as it was at first."""
+        """True if it is as upright as at the start."""
         return abs(abs(body.axis[1]) - self.upright) < 0.35
 
 
 class AnimalCrossing:
-    """An animal scores when it stands in its place in its own size, and once more when it is petted there."""
+    """An animal scores when it stands in its place at its proper size, and once more when it is petted there."""
 
     moved = PLACING_TIME * len(SCRIPT)
     duration = moved + SETTLE_TIME + 1.6
@@ -55,9 +55,9 @@ class AnimalCrossing:
             for body, (_, _, size, _) in zip(bodies, ANIMALS.values(), strict=True):
                 self.guests.append(Guest((body.high[1] - body.low[1]) / size, abs(body.axis[1])))
         for guest, body, (x, _, z) in zip(self.guests, bodies, PLACES.values(), strict=True):
-            at_home = np.hypot(x - body.centroid[0], z - body.centroid[2]) < PLACE_RADIUS
+            is_home = np.hypot(x - body.centroid[0], z - body.centroid[2]) < PLACE_RADIUS
             size = (body.high[1] - body.low[1]) / guest.height
-            guest.placed = bool(at_home and guest.stands(body) and abs(size - 1) < SIZE_TOLERANCE)
+            guest.placed = bool(is_home and guest.stands(body) and abs(size - 1) < SIZE_TOLERANCE)
             if guest.placed and body.held and np.linalg.norm(body.velocity) > STROKE_SPEED:
                 guest.stroked += dt
 

@@ -113,25 +113,25 @@ class BoxMoving:
 
 
 def place_of(name: str) -> np.ndarray:
-    """Place of a box on the pallet [m]: its centre, a little above."""
+    """Centre of a box in its place on the pallet [m], a little above it."""
     x, z = PLACES[name]
     return PALLET[0] + np.array([x, PALLET[1][1] + 0.5 * SIZES[name][1], z]) + [0.0, 0.004, 0.0]
 
 
 def on_pallet(box: BodyState) -> bool:
-    """Test if a box stands on the pallet, or on another one there."""
+    """True if a box stands on the pallet, or on another box there."""
     w, height, d = PALLET[1]
     aside = np.abs(box.centroid - PALLET[0])
     return bool(box.low[1] > PALLET[0][1] + height - 0.02 and aside[0] < w / 2 and aside[2] < d / 2)
 
 
 def before_hole(box: BodyState) -> bool:
-    """Test if a box stands in the way of the mouse."""
+    """True if a box blocks the mouse hole."""
     return bool(box.low[0] < HOLE[1] and box.high[0] > HOLE[0] and box.low[1] < HOLE[2] and box.low[2] < FAR + 0.3)
 
 
 def boxes() -> list[Body]:
-    """The boxes, in the order in which they can be taken away."""
+    """The boxes, in the order in which they can be removed."""
     bodies = []
     for asset, (x, foot, z, turn) in STARTS.items():
         half = np.radians(turn) / 2
@@ -143,7 +143,7 @@ def boxes() -> list[Body]:
 
 
 def room_colliders() -> list[Plane | Box | Capsule]:
-    """Floor, walls, slopes, and what stands about."""
+    """Floor, walls and slopes of the attic, and its furniture."""
     slope = np.array([RIDGE - KNEE[1], KNEE[0]]) / np.hypot(RIDGE - KNEE[1], KNEE[0])
     return [
         Plane((0, 0, 0), (0, 1, 0)),

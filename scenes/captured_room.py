@@ -31,7 +31,7 @@ SUNK = 0.05  # [m] under the floor at which an object has fallen through it
 
 
 class CapturedRoom:
-    """No goal. The scripted hand lifts free objects a little and lets them fall; it draws at those that are fixed."""
+    """No goal. The scripted hand lifts free objects a little and lets them fall; it pulls at fixed ones."""
 
     def __init__(self, objects: tuple[RoomObject, ...], floor: float):
         self.objects, self.floor = objects, floor
@@ -77,7 +77,7 @@ class CapturedRoom:
         )
 
     def verify(self, bodies: list[BodyState]) -> None:
-        """Assert the outcome of the scripted play: what was taken has moved, and nothing fell out of the room."""
+        """Assert the outcome of the scripted play: what was free and taken has moved, and nothing left the room."""
         for k, (body, thing) in enumerate(zip(bodies, self.objects, strict=True)):
             assert np.isfinite(body.centroid).all() and body.high[1] > self.floor - SUNK, f"{thing.name} fell out"
             if k < TURNS_MAX and thing.fixed_below is None:
@@ -88,7 +88,7 @@ def room_scene(folder: str) -> Scene:
     """The scene of a captured room: the player stands where a photographer stood. Raises BadInput."""
     path, room = Path(folder), read_room(folder)
     objects = [object_body(path, o) for o in room.objects]
-    things = room.objects or (RoomObject(TOY, TOY, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),)
+    shown = room.objects or (RoomObject(TOY, TOY, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),)
     if not objects:
         x, y, z = Environment.load(path / room.background).drop_point
         objects = [Body(TOY, default_material(TOY), position=(x, y + TOY_DROP, z))]
@@ -101,7 +101,7 @@ def room_scene(folder: str) -> Scene:
         target=room.target,
         fov_y=room.fov_y,
         floor=room.floor,
-        game=CapturedRoom(things, room.floor),
+        game=CapturedRoom(shown, room.floor),
         roles=(Role("object", tuple(b.asset for b in objects), resize=bool(room.objects)),),
     )
 
@@ -112,13 +112,13 @@ def in_captured_room(scene: Scene, folder: str) -> Scene:
 
 
 def object_body(folder: Path, thing: RoomObject) -> Body:
-    """An object at its captured place, where it stays until it is touched."""
+    """An object where it was captured, asleep until it is touched."""
     asset = str(folder / thing.asset)
     placed = Body(asset, default_material(asset), position=thing.position, rotation=thing.rotation)
     return replace(placed, fixed_below=thing.fixed_below, asleep=True, captured=True)
 
 
 def light_over(target: Vec3) -> Light:
-    """A light from above, as most rooms have; the photographs do not tell where theirs was."""
+    """A light from above, as in most rooms: the photographs do not tell where theirs was."""
     x, y, z = target
     return Light(position=(x + 2.0, y + SUN_HEIGHT, z + 3.0), target=target, kind="directional", **SHADOW)

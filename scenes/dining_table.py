@@ -30,7 +30,7 @@ def colliders() -> list[Plane | Box]:
 
 
 def room() -> Room:
-    """The dining room, from which a play moves on to another table: the bottle comes along."""
+    """The dining room, which another table can replace: the bottle moves there too."""
     return Room(("dining_room",), tuple(colliders()), spot=(0.0, TABLE_TOP, 0.0), radius=0.3)
 
 

@@ -1,4 +1,4 @@
-"""The garden: its lawn, where animals belong on it, colliders and sun."""
+"""The garden: its colliders and sun, and the places of the animals on the lawn."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ YOUNG = {"horse": 6.5e5}  # [Pa] where legs would buckle that are as soft as the
 
 
 def garden_scene(bodies: Iterable[Body], **rest) -> Scene:
-    """A scene in the garden, whose distance grid holds the bench and the pots; `rest`: what else a Scene has."""
+    """A scene in the garden, whose distance grid holds the bench and the pots; `rest`: further fields of Scene."""
     return Scene(
         bodies=[Body("garden"), *bodies],
         colliders=colliders(),
@@ -53,7 +53,7 @@ def sun() -> Light:
 
 
 def animals() -> list[Body]:
-    """All animals, on the path, as the crossing begins."""
+    """All animals on the path, as at the start of the crossing."""
     return [
         Body(
             name,
@@ -67,6 +67,6 @@ def animals() -> list[Body]:
 
 
 def _material(name: str) -> Material:
-    """The animal's own, firm enough to stand."""
+    """The animal's own material, stiff enough for it to stand."""
     own = default_material(name)
     return replace(own, young=max(own.young, YOUNG.get(name, 0.0)))

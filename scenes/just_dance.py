@@ -1,4 +1,4 @@
-"""Just dance: throw two rings and a ball at the dancer on the stage; --body brings one of yours (prepare --rig)."""
+"""Just dance: throw two rings and a ball at the dancer on the stage; --body takes one of yours (prepare --rig)."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class JustDance:
             self.turn, self.throw = turn, self.throw_at(dancer, props[turn])
 
     def throw_at(self, dancer: BodyState, prop: BodyState) -> Throw:
-        """A throw from the hall at the dancer's skirt, wherever both are now."""
+        """A throw from the hall at the dancer's skirt, from where both are now."""
         middle = 0.5 * (dancer.low + dancer.high)
         target = (middle[0], STAGE_TOP + 0.5 * self.height, middle[2])
         release = (0.5 * prop.centroid[0], 1.45, 1.15)

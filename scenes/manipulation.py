@@ -1,6 +1,6 @@
 """Manipulation: hold and pull an animal in its place, by the ears, the nose and the tail; --animal fox|bear|horse.
 
-With --capture it is the largest object of a captured room, at its captured place, pulled at where it is pointed.
+With --capture it is the largest object of a captured room, in its place, pulled at its most pointed ends.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ ANIMALS = {
 class Manipulation:
     """A part scores when it was drawn out by PULLED and has sprung back.
 
-    lever  by how much farther a part is drawn than the animal's middle, for parts that do not stick out of its box:
-           then they are known by that; 0: all parts stick out
+    lever  ratio of the displacement of a part to that of the animal's centroid, by which the displacement of parts is
+           found that do not stick out of the bounding box; 0: all parts stick out
     """
 
     def __init__(self, parts: tuple[Pull, ...], reach: float = REACH, lever: float = 0.0):
@@ -137,7 +137,7 @@ def build(
 
 
 def captured_animal(folder: str) -> Scene:
-    """The largest object of a captured room, held fast where something holds it, soft enough to be pulled at.
+    """The largest object of a captured room, fixed where it was fixed, soft enough to be pulled.
 
     Raises BadInput if there is none.
     """
@@ -167,8 +167,8 @@ def captured_animal(folder: str) -> Scene:
 def pointed_parts(x: np.ndarray, free: np.ndarray, away: np.ndarray) -> tuple[Pull, ...]:
     """Up to three parts to pull at: the ends of an object along the axes of the room, the most pointed first.
 
-    x     vertices (V, 3) [m] in the room; `free` (V,) bool: well away from those that are held fast
-    away  direction (3,) away from what holds it
+    x     vertices (V, 3) [m] in the room; `free` (V,) bool: well away from those that are fixed
+    away  direction (3,) away from what it is fixed to
     """
     low, high = x.min(0), x.max(0)
     found = []

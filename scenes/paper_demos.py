@@ -45,7 +45,7 @@ PAPER_DEMOS = (
 
 
 def paper_demos(names: Sequence[str] = (), *, there: Sequence[str]) -> list[PaperDemo]:
-    """The demos of these names, of all if there are none, whose scenes are `there`. Raises BadInput."""
+    """The demos with these names (all demos if empty) whose scenes are in `there`. Raises BadInput."""
     known = {demo.name: demo for demo in PAPER_DEMOS if demo.scene in there}
     for name in names:
         if name not in known:
@@ -54,11 +54,11 @@ def paper_demos(names: Sequence[str] = (), *, there: Sequence[str]) -> list[Pape
 
 
 def paper_demo_of(scene: str, options: dict[str, str]) -> PaperDemo:
-    """The demo that a scene is with these options; the first of several if they do not tell. Raises BadInput."""
+    """The demo that this scene with these options is, the first that matches. Raises BadInput."""
     for demo in PAPER_DEMOS:
         if demo.scene == scene and demo.options.items() <= {**demo.options, **options}.items():
             return demo
-    raise BadInput(f"the scene {scene} with these options is none of the paper's demos")
+    raise BadInput(f"the scene {scene} with these options is not a demo of the paper")
 
 
 def use_shipped_assets(demo: PaperDemo) -> None:

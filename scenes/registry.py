@@ -39,7 +39,7 @@ TRUTH = {"yes": True, "no": False}
 class SceneOption:
     """A parameter of `build` that the command line can set.
 
-    choices  all the texts that it may be, if not any;   meaning  what a text is, in words
+    choices  the texts that are allowed; (): any;   meaning  description of a text
     """
 
     name: str
@@ -50,19 +50,19 @@ class SceneOption:
 
     @property
     def flag(self) -> str:
-        """As it is written on the command line."""
+        """Its name on the command line."""
         return f"--{self.name.replace('_', '-')}"
 
     @property
     def choice_text(self) -> str:
-        """Choices and default of the option, in words."""
+        """Choices and default of the option, for the help."""
         kinds = {str: self.meaning, int: "an integer", float: "a number"}
         what = one_of(self.choices) if self.choices else kinds[self.kind]
         default = {True: "yes", False: "no"}[self.default] if self.kind is bool else self.default
         return what if default is None else f"{what} (default {default})"
 
     def value(self, given: Any, scene: str) -> Any:
-        """The value that `build` gets for a text of the command line or a value of that type. Raises BadInput."""
+        """The argument of `build` for a text from the command line, or for a value of its type. Raises BadInput."""
         if self.kind is bool:
             given = {True: "yes", False: "no"}.get(given, given)
         if self.choices:
@@ -77,7 +77,7 @@ class SceneOption:
 
 @dataclass(frozen=True)
 class Demo:
-    """A scene file: its name, the first line of its docstring, `build` and its options; or the `fault` that it has."""
+    """A scene: its name, the first line of its docstring, `build` and its options; or its `fault`."""
 
     name: str
     summary: str = ""
@@ -116,7 +116,7 @@ def is_scene_file(name: str) -> bool:
 
 
 def is_room(name: str) -> bool:
-    """True for the path of a captured room; a demo's name is none, whatever folders there are."""
+    """True for the path of a captured room. The name of a demo never is, even if a folder has that name."""
     return name not in module_names() and not is_scene_file(name) and is_room_folder(name)
 
 
@@ -134,12 +134,12 @@ def rooms() -> list[str]:
 
 
 def label(name: str) -> str:
-    """The name of a scene for titles and files: of a scene file its own without the folder, of a room its folder's."""
+    """The name of a scene for titles and files: the stem of a scene file, the name of a room's folder."""
     return Path(name).stem if is_scene_file(name) else Path(name).absolute().name if is_room(name) else name
 
 
 def module_of_file(path: Path):
-    """The module in a scene file, which is run. It may import its neighbours."""
+    """Run a scene file, which may import its neighbours, and return its module."""
     file_size(path)
     name = f"scene_file_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
@@ -155,7 +155,7 @@ def module_of_file(path: Path):
 
 
 def fault_of(error: Exception, name: str) -> str:
-    """An error of a scene file in one line, with the number of the file's line in which it arose."""
+    """An error of a scene file in one line, with the number of the line that raised it."""
     text = " ".join(f"{type(error).__name__}: {getattr(error, 'msg', None) or error}".split())
     line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
     for frame in traceback.extract_tb(error.__traceback__):
@@ -165,7 +165,7 @@ def fault_of(error: Exception, name: str) -> str:
 
 
 def built(found: Demo, values: dict) -> Scene:
-    """The scene that `build` makes. Raises BadInput, also for an error in the scene file of a user's."""
+    """The scene that `build` returns. Raises BadInput, also for an error in a scene file."""
     from scenes.scene import Scene
 
     try:
@@ -177,7 +177,7 @@ def built(found: Demo, values: dict) -> Scene:
             raise
         raise BadInput(f"{found.name}: {fault_of(e, found.name)}") from e
     if not isinstance(scene, Scene):
-        raise BadInput(f"{found.name}: build gives no Scene but {type(scene).__name__}")
+        raise BadInput(f"{found.name}: build returns no Scene but {type(scene).__name__}")
     return scene
 
 
@@ -202,14 +202,14 @@ def load(
     resize: bool = True,
     **options,
 ) -> Scene:
-    """Build the scene, with the user's bodies and room in their roles. Options that are None are not given.
+    """Build the scene, with the user's bodies and room in their roles. Options that are None keep their defaults.
 
     body, stage  assets
     material     a name: of the bodies
     resize       let bodies become as large as their roles ask for; otherwise all keep their sizes
     options      of the scene, texts or values
 
-    Raises BadInput, also for what the scene does not take.
+    Raises BadInput, also for an option that the scene does not have.
     """
     is_ours = name in module_names()
     found = demo(name) if is_ours or is_scene_file(name) or is_room(name) else None
@@ -251,6 +251,8 @@ def with_users(
     scene: Scene, name: str, played: list[str], assets: list[str], material: str | None, stage: str | None
 ) -> Scene:
     """The scene with the user's assets in its roles, and in the user's room. Raises BadInput."""
+    if not (played or assets) and stage is None:
+        return scene
     from scenes.roles import cast_bodies, in_room
 
     if assets and not scene.roles:
@@ -269,14 +271,14 @@ def one_of(names: tuple[str, ...]) -> str:
 
 
 def options_of(build: Callable) -> list[SceneOption]:
-    """The options of a scene besides the common ones. Raises BadInput for a parameter that cannot be one."""
+    """The options of a scene, without the common ones. Raises BadInput for a parameter that cannot be an option."""
     hints = get_type_hints(build, include_extras=True)
     own = [p for p in inspect.signature(build).parameters.values() if p.name not in COMMON]
     return [option_of(p.name, hints.get(p.name, str), p.default) for p in own]
 
 
 def option_of(name: str, hint: Any, default: Any) -> SceneOption:
-    """The option of a parameter with this type. Raises BadInput."""
+    """The option for a parameter of this type. Raises BadInput."""
     if default is inspect.Parameter.empty:
         raise BadInput(f"the parameter {name} of build has no default")
     meaning = SceneOption.meaning

@@ -43,7 +43,7 @@ UNSEEN_WEIGHT = 0.3  # [m] of free space, and of the way to the eye, for a view 
 
 
 def places(scene: Scene) -> list[tuple[Role, str, int]]:
-    """Each role, its name with a number if several bodies play it, and the index of its body in the scene."""
+    """Role, its name (numbered if several bodies play it) and index of each body that can be replaced."""
     result = []
     for role in scene.roles:
         indices = [i for i, body in enumerate(scene.bodies) if body.asset in role.assets]
@@ -55,8 +55,8 @@ def places(scene: Scene) -> list[tuple[Role, str, int]]:
 def cast_bodies(scene: Scene, played: Sequence[str], assets: Sequence[str], material: str | None) -> Scene:
     """The scene with these assets in its roles, in their order. Raises BadInput.
 
-    played    assets of the user that the scene has put in their places itself
-    material  a name, or None: each asset's own, or else that of the body that it replaces
+    played    assets of the user that the scene has placed itself
+    material  a name; None: the asset's own, or else that of the body that it replaces
     """
     bodies, cast, free = list(scene.bodies), [], []
     for role, name, i in places(scene):
@@ -74,7 +74,7 @@ def cast_bodies(scene: Scene, played: Sequence[str], assets: Sequence[str], mate
 
 
 def in_place_of(body: Body, asset: str, role: Role, name: str, material: str | None) -> Body:
-    """The body of an asset that plays a role instead of a scene's body. Raises BadInput."""
+    """An asset in place of a body of the scene. Raises BadInput."""
     height = animated_height(asset)
     if role.animated is not None and role.animated != (height is not None):
         moves = "does not move by itself" if role.animated else "moves by itself"
@@ -183,7 +183,7 @@ def placed_room(
 
 
 def load_room(stage: str) -> tuple[Environment, DistanceGrid | None]:
-    """The environment and the distances of a room. Raises BadInput if the file is none."""
+    """Environment and distance grid of a room. Raises BadInput if the file holds none."""
     path = find_asset(stage)
     environment = Environment.load(path)
     with open_hdf5(path) as file:
@@ -194,7 +194,7 @@ def load_room(stage: str) -> tuple[Environment, DistanceGrid | None]:
 
 
 def photographs_of(stage: str) -> tuple[Camera, ...]:
-    """The cameras of the photographs of a room that is the background of a captured one, else none. Raises BadInput."""
+    """Cameras of the photographs from which a room was captured; () for other rooms. Raises BadInput."""
     folder = Path(find_asset(stage)).parent
     if not is_room_folder(folder):
         return ()
@@ -235,7 +235,7 @@ def spot_in(
 
 
 def unphotographed(scene: Scene, cameras: Sequence[Camera], at: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Difference (N,) of the player's view from the photograph most like it; 0 if there are none.
+    """Difference (N,) between the player's view and the most similar photograph; 0 without photographs.
 
     The distance between the eyes over that of the eye from the play, and 1 minus the cosine between the directions.
 
@@ -264,9 +264,9 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def free_eye(
     scene: Scene, grid: DistanceGrid | None, rotation: Quat, position: Vec3, floor: float
 ) -> tuple[Vec3, float]:
-    """The scene's eye, or as far from its target towards there as nothing of the room is in the way.
+    """The scene's eye, moved towards its target as far as the room requires.
 
-    Out.  the eye, and how much of the way there is free; at the eye there is room for a user who stands on the floor
+    Out.  the eye, where a user can stand on the floor; the free part of the way from the target to the scene's eye
     """
     if grid is None:
         return scene.eye, 1.0
@@ -288,9 +288,9 @@ def free_eye(
 def clear_of_room(
     bodies: list[Body], grid: DistanceGrid | None, rotation: Quat, position: Vec3, spot: Vec3
 ) -> list[Body]:
-    """The bodies; those that would be in what is solid of the room are moved towards the spot, or over it.
+    """The bodies, with those that would intersect the room moved towards the spot, or above it.
 
-    What the room's own furniture carried falls.
+    What stood on the furniture of the scene's own room falls.
     """
     moving = [i for i, body in enumerate(bodies) if body.material is not None]
     boxes = {i: np.array(bounds(bodies[i].asset, bodies[i])) for i in moving}

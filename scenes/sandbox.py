@@ -25,10 +25,10 @@ RING_SCALE_PER_METRE = 2.2  # size of the ring, in multiples of the ring toss's,
 
 
 class Sandbox:
-    """No goal. The scripted hand waits until the body rests, lifts it by its upper part and lobs it.
+    """No goal. The scripted hand waits until the body rests, lifts it by its upper part and throws it.
 
-    target          where the body is thrown back to [m]
-    dancer_height   of an animated body [m]: then the hand throws a ring at it, again and again
+    target          of the throw [m]
+    dancer_height   of an animated body [m], at which the hand throws a ring, again and again; None: not animated
     """
 
     first_throw = 1.2  # [s]
@@ -88,7 +88,7 @@ class Sandbox:
 def build(body: tuple[str, ...] = (RING,), material: str | None = None) -> Scene:
     """Bodies side by side on the dining table.
 
-    body      assets; the first is the one that the scripted hand plays with
+    body      assets, of which the scripted hand takes the first
     material  a name (core/material.py); None: the assets' own
     """
     height = animated_height(body[0])
@@ -108,8 +108,8 @@ def build(body: tuple[str, ...] = (RING,), material: str | None = None) -> Scene
 
 
 def side_by_side(assets: tuple[str, ...], material: str | None, start: Vec3) -> list[Body]:
-    """Bodies in a row from left to right, dropped from the height of `start`, or dancing on the table; a single one is
-    at `start`. More than a row holds are in further rows above it."""
+    """Bodies in rows from left to right, one row above the other, dropped from the height of `start` or dancing on the
+    table; a single body is at `start`."""
     bodies = [Body(asset, body_material(asset, material, animated_height(asset))) for asset in assets]
     if len(bodies) == 1:
         return [replace(bodies[0], position=start)]
@@ -145,7 +145,7 @@ def body_material(body: str, name: str | None, height: float | None) -> Material
 
 
 def rings(place: Vec3, height: float | None) -> list[Body]:
-    """A ring beside an animated body of this height [m] that stands at `place`; none beside another body."""
+    """A ring beside an animated body of this height [m] that stands at `place`; [] beside any other body."""
     if height is None:
         return []
     scale = float(np.clip(RING_SCALE_PER_METRE * height, 0.5, 1.5))

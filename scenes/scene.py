@@ -12,9 +12,9 @@ from core.vocabulary import IDENTITY, Body, BodyState, Box, Capsule, Hand, Light
 class Game(Protocol):
     """Game of a scene. `hands` is its scripted player; `reset` starts it again.
 
-    `verify` raises AssertionError if the scripted play did not end as it should. A game with a task to be done has an
-    attribute `goal`: the score with which it is. A game may have `interaction(time)`: the mode, "physics" or
-    "transform", in which its scripted player's hands grip.
+    `verify` raises AssertionError if the scripted play did not end as it should. A game with a task has an attribute
+    `goal`, the score at which it is done. A game may have `interaction(time)`: the mode, "physics" or "transform", in
+    which its scripted player's hands grip.
     """
 
     duration: float  # [s] of the scripted play

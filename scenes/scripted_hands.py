@@ -105,9 +105,9 @@ class Carry:
 
 
 def placing_hands(body: BodyState, place: Vec3, factor: float, t: float) -> list[Hand]:
-    """Two hands that put a standing body down on the ground at `place`, and draw it larger by `factor`.
+    """Two hands that put a standing body down at `place` and scale it by `factor`.
 
-    `t` [s] after the start, when the body was as in `body`.
+    `t` is the time [s] since the start, `body` the state at the start.
     """
     x, middle, z = body.centroid
     s = ease((t - 0.3) / 0.8)

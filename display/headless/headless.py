@@ -25,8 +25,8 @@ class Headless:
 
     Yields `frames` frames of 1/60 s from the scene's camera, in which the world's scripted hand plays if `scripted`.
     `record` is an MP4 with every `every`-th frame, in real time; `snapshot` a picture of frame `snapshot_frame`,
-    from 0, unless told the last. With `views=2` the pictures are stereo pairs, written side by side. Raises BadInput
-    before the first frame if a file cannot be written.
+    counted from 0 (default: the last). With `views=2` the pictures are stereo pairs, written side by side. Raises
+    BadInput before the first frame if a file cannot be written.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Headless:
             self._video.discard()
 
     def loading(self, text: str, picture=None) -> None:
-        """Show nothing: the terminal does."""
+        """Do nothing: the terminal shows the progress."""
 
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Film another scene with its own camera."""
@@ -102,7 +102,7 @@ class Headless:
             self.close()
 
     def present(self, world: WorldView) -> None:
-        """Write the world's picture where it is wanted."""
+        """Write the world's picture to the video and the snapshot."""
         filmed = self._video is not None and self._index % self._every == 0
         kept = self.snapshot is not None and self._index == self.snapshot_frame
         if filmed or kept:
@@ -147,6 +147,6 @@ class Progress:
             print(text, file=self._out, flush=True)
 
     def end(self) -> None:
-        """Leave the line, so that what follows starts on its own."""
+        """End the line."""
         if self._shown:
             print(file=self._out)

@@ -53,7 +53,7 @@ class Drop:
     pictures: tuple[np.ndarray, np.ndarray]  # at the greatest compression and at the end
 
     def row(self) -> dict:
-        """All but the pictures."""
+        """The fields without the pictures."""
         return {key: value for key, value in vars(self).items() if key != "pictures"}
 
 
@@ -111,7 +111,7 @@ def _drop(world, cage: np.ndarray, young: float) -> Drop:
 
 
 def undeformed_height(rest: np.ndarray, x: np.ndarray) -> float:
-    """Height [m] of the undeformed body, turned as the deformed one is (the rotation nearest to it)."""
+    """Height [m] of the undeformed body in the best-fit rotation of the deformed one."""
     U, _, Vt = np.linalg.svd((x - x.mean(0)).T @ (rest - rest.mean(0)))
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     return float(np.ptp((rest @ R.T)[:, 1]))
@@ -203,7 +203,7 @@ def strip(name: str, drops: list[Drop], height: float) -> np.ndarray:
 
 
 def mark_height(picture: np.ndarray, camera: Camera, x: np.ndarray, height: float) -> None:
-    """Draw a dashed line behind which the body would reach, were it undeformed: `height` [m] over its lowest point."""
+    """Draw a dashed line at the undeformed height: `height` [m] above the lowest point."""
     w, reach = camera.world_to_camera, 2.0 * np.ptp(x, axis=0).max()
     middle = np.array([x[:, 0].mean(), x[:, 1].min() + height, x[:, 2].mean()])
     p = (middle + np.linspace(-reach, reach, 82)[:, None] * w[0, :3]) @ w[:3, :3].T + w[:3, 3]
@@ -213,7 +213,7 @@ def mark_height(picture: np.ndarray, camera: Camera, x: np.ndarray, height: floa
 
 
 def pascal(value: float) -> str:
-    """A stiffness in the unit that suits it: 3e4 is "30 kPa"."""
+    """A stiffness with a suitable unit: 3e4 is "30 kPa"."""
     for unit, name in ((1e6, "MPa"), (1e3, "kPa")):
         if value >= unit:
             return f"{value / unit:.3g} {name}"

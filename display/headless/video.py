@@ -43,7 +43,7 @@ class Video:
         return cv2.VideoWriter(str(self._part), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*codec), self.fps, self.size)
 
     def _first_codec(self) -> str:
-        """The first codec that OpenCV can write here. It tries, as OpenCV keeps no list; leaves no file."""
+        """The first codec that OpenCV can write here, found by trying: OpenCV has no list."""
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # silent: FFmpeg logs each encoder that is not there
         import cv2
 
@@ -87,7 +87,7 @@ class Video:
         os.replace(self._part, self.path)
 
     def discard(self) -> None:
-        """Give up: leaves no file behind."""
+        """Give up; no file is left."""
         if self._writer is not None:
             self._writer.release()
             self._writer = None
@@ -107,7 +107,7 @@ class FilmWriter:
     def add(self, world, time: float) -> None:
         """Bring the film up to `time` [s]: a slow frame is repeated, a fast one may be passed over.
 
-        A disk that is nearly full ends the film, so that what it has can be kept; the world and a line tell of it.
+        The film ends when the disk is nearly full, so that it can be completed; a notice and a line say so.
         """
         if self.ended or self._video.count >= time * FILM_FPS:
             return
@@ -135,7 +135,7 @@ class FilmWriter:
 
 
 def frame_count(path: Path) -> int:
-    """Number of pictures that a video file says it holds, if its first one can be read; else 0."""
+    """Number of pictures of a video file according to its header; 0 if the first cannot be read."""
     import cv2
 
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)

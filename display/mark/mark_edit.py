@@ -24,7 +24,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class MarkState:
-    """All marks at one moment: names of the objects, marks, and rings by which each is grown or shrunk."""
+    """All marks: names of the objects, marks, and number of rings by which each object is grown."""
 
     objects: tuple[str, ...] = ("object_1",)
     marks: tuple[Mark, ...] = ()

@@ -250,11 +250,11 @@ class MarkWindow:
         self.subject.go_to(view)
 
     def undo(self) -> None:
-        """Take the last step back; where it was on another photograph, show that."""
+        """Undo the last step, and show the photograph that it changed."""
         self._step(self.edit.undo)
 
     def redo(self) -> None:
-        """Take the step that was undone last again."""
+        """Redo the step that was undone last."""
         self._step(self.edit.redo)
 
     def _step(self, act) -> None:
@@ -265,7 +265,7 @@ class MarkWindow:
             self.go_to(min(changed))
 
     def finish(self) -> None:
-        """End with the marks, if there are some, and each object that has marks has some inside."""
+        """End with the marks, if every object that has marks has some inside."""
         marks = self.edit.state.marks
         bare = {m.object for m in marks} - {m.object for m in marks if m.kind != "outside"}
         if not marks:
@@ -276,7 +276,7 @@ class MarkWindow:
             self._result, self._open = self.edit.state, False
 
     def leave(self) -> None:
-        """End without the marks, asked twice if something was marked."""
+        """End without the marks; if something was marked, the second time."""
         if self.edit.changed and not self._leaving:
             self._leaving, self.line = True, "Once more leaves without keeping the marks; Enter keeps them"
         else:
@@ -376,7 +376,7 @@ class MarkPanel:
         )
 
     def _name(self, name: str) -> None:
-        """The name of the current object, which can be written anew."""
+        """The name of the current object, editable."""
         from imgui_bundle import imgui
 
         imgui.set_next_item_width(-1.0)
@@ -460,7 +460,7 @@ class PlacedPicture:
         return left + 0.5 * width - self._middle[0] * w, top + 0.5 * height - self._middle[1] * h, w, h
 
     def to_window(self, point) -> tuple[float, float]:
-        """Position in the window of a pixel's."""
+        """Position in the window of a pixel of the picture."""
         left, top, width, height = self.place
         return left + point[0] / self.size[0] * width, top + point[1] / self.size[1] * height
 
@@ -471,7 +471,7 @@ class PlacedPicture:
         return min(max(u, 0.0), float(self.size[0])), min(max(v, 0.0), float(self.size[1]))
 
     def zoom(self, notches: float, x: float, y: float) -> None:
-        """Enlarge the picture; what is at a position in the window stays there."""
+        """Zoom about a position in the window."""
         u, v = (p / n for p, n in zip(self.to_picture(x, y), self.size, strict=True))
         self._zoom = min(max(self._zoom * ZOOM_STEP**notches, 1.0), ZOOM_MAX)
         left, top, width, height = self.area
@@ -516,7 +516,7 @@ class FreeView:
         return next((name for name, camera in self.cameras.items() if same_camera(camera, here)), None)
 
     def named(self) -> str:
-        """The view from here, which is given a name if it has none."""
+        """Name of the view from here, a new one if it has none."""
         name = self.shown()
         if name is None:
             number = len(self.cameras) + 1

@@ -59,9 +59,9 @@ def body_modes(extents: np.ndarray, material: Material, *, rigid: bool = False) 
 
 
 def waveform(modes: Modes) -> np.ndarray:
-    """Sound (N,) float32 of a blow of unit loudness: sum a e^(-d t) sin(2 pi f t), with a soft beginning and end.
+    """Sound (N,) float32 of a blow of unit loudness: sum a e^(-d t) sin(2 pi f t), faded in and out.
 
-    Its peak is the root of what the modes add up to: quiet sounds are brought nearer to loud ones, as ears do.
+    The peak is the square root of the sum of the modes: this compresses the range of loudness, as ears do.
     """
     length = min(LENGTH_MAX, 7.0 / max(float(modes.decay.min()), 1e-3))
     t = np.arange(int(RATE * length)) / RATE
@@ -79,13 +79,13 @@ FORGET = 0.08  # [s] after a blow, which lasts for some frames where bodies are 
 
 
 class Impacts:
-    """`detect` once a frame. What is held, or moved by the program, makes no sound."""
+    """`detect` once a frame. Held bodies and those moved by the program make no sound."""
 
     def __init__(self):
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: bodies were moved by something else than the simulation."""
+        """Forget the last frame: bodies were moved by something other than the simulation."""
         self._velocity: np.ndarray | None = None  # (B, 3) [m/s] of the last frame
         self._free = self._heard = np.empty(0)  # (B,) not held then; speed [m/s] that was heard and still rings
 

@@ -37,7 +37,7 @@ class Mixer:
         self._voices: list[Voice] = []
 
     def play(self, sound: np.ndarray, gain: tuple[float, float], *, delay: int = 0) -> None:
-        """Let a sound begin with the next block, or `delay` samples later."""
+        """Start a sound with the next block, or `delay` samples later."""
         self._queue.append(Voice(sound, np.asarray(gain, np.float32), -delay))
 
     def mix(self, count: int) -> np.ndarray:
@@ -56,7 +56,7 @@ class Mixer:
 
 
 def limited(x: np.ndarray) -> np.ndarray:
-    """Samples as they are up to LOUD, above it bent towards 1 without a kink."""
+    """Soft clipping: samples above LOUD are compressed smoothly towards 1."""
     over = np.maximum(np.abs(x) - LOUD, 0.0)
     return np.where(over > 0, np.sign(x) * (LOUD + (1 - LOUD) * np.tanh(over / (1 - LOUD))), x).astype(np.float32)
 
@@ -70,7 +70,7 @@ BUFFER = 40  # [ms]: less would break off while the program holds Python's lock;
 class AudioDevice:
     """Plays what `mix` (count -> (count, 2) float32) gives, in a thread of its own, until `close`.
 
-    `backends` of miniaudio; unset: the platform's. Raises BadInput where there is no package or no device.
+    `backends` of miniaudio; None: those of the platform. Raises BadInput without the package or a device.
     """
 
     def __init__(self, mix: Callable[[int], np.ndarray], backends: Sequence | None = None):
@@ -95,13 +95,13 @@ class AudioDevice:
 
 
 def silence_alsa() -> None:
-    """Keep ALSA, where it is the system's, from writing to the terminal that there is no device."""
+    """Keep ALSA from printing that there is no device."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("libasound.so.2").snd_lib_error_set_handler(SILENT)
 
 
 def blocks_of(mix: Callable[[int], np.ndarray]) -> Iterator[bytes]:
-    """Generator as miniaudio wants it: it is sent the number of samples that are due, and gives their bytes."""
+    """Generator for miniaudio: it is sent the number of samples, and yields their bytes."""
     count = yield b""
     while True:
         count = yield mix(count).tobytes()

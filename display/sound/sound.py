@@ -30,9 +30,9 @@ PAN = 0.8  # of a sound straight from the side, which the other ear hears too
 class Sound:
     """Listens to a world `after` each frame of a play; `close` ends the sound and finishes that of the film.
 
-    film        of which a sound track is made; None: of none
-    heard       open the loudspeakers, which takes a thread of its own some tenths of a second
-    asked       the user asked for sound: what is missing is told
+    film        that gets a sound track; None: there is no film
+    heard       whether to open the loudspeakers, in a thread of its own: it takes some tenths of a second
+    asked       whether the user asked for sound: then an error says why there is none
     preferences remember whether the user has switched it off
     """
 
@@ -72,7 +72,7 @@ class Sound:
                 print(f"vrgs: {e}", file=sys.stderr, flush=True)
 
     def after(self, frame: Frame, world) -> None:
-        """Let what was struck in the frame be heard."""
+        """Play the impacts of the frame."""
         switch = last_of(SetSound, frame.commands)
         if switch is not None:
             self._on = switch.on
@@ -107,7 +107,7 @@ class Sound:
 
 
 def heard_from(cameras: list[Camera], point: np.ndarray) -> tuple[float, float]:
-    """Gains, left and right, of a sound at a point [m]: of equal power in all directions, falling with distance."""
+    """Gains (left, right) of a sound at a point [m]: equal power in all directions, inverse to the distance."""
     if not cameras:
         return 0.7, 0.7
     eyes = np.mean([c.world_to_camera for c in cameras], axis=0)
@@ -122,14 +122,17 @@ BLOCK = 4096  # samples mixed at once
 
 
 class SoundTrack:
-    """Collects sounds (`add`); `write` brings them to the film. `always`: without ffmpeg a WAV is left beside it."""
+    """Collects sounds (`add`) and muxes them into a film (`write`).
+
+    always  write a WAV beside the film if there is no ffmpeg
+    """
 
     def __init__(self, film: Path, *, always: bool):
         self.film, self._always, self._length = Path(film), always, 0.0
         self._sounds: list[tuple[float, np.ndarray, tuple[float, float]]] = []
 
     def add(self, time: float, sound: np.ndarray, gain: tuple[float, float]) -> None:
-        """Let a sound begin at a time of the film [s]."""
+        """Start a sound at a time of the film [s]."""
         self._sounds.append((time, sound, gain))
 
     def last(self, time: float) -> None:
@@ -148,7 +151,7 @@ class SoundTrack:
         return np.concatenate(blocks) if blocks else np.zeros((0, 2), np.float32)
 
     def write(self) -> None:
-        """Join the track to the film, if that was finished and anything was heard."""
+        """Mux the track into the film, if the film is complete and there are sounds."""
         ffmpeg = shutil.which("ffmpeg")
         if not (self._sounds and self.film.is_file()) or (ffmpeg is None and not self._always):
             return

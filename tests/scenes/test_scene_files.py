@@ -43,7 +43,7 @@ def test_a_scene_file_is_played_by_its_path_with_its_own_options(scene_file):
         ("x = 1\ny = (\n", r"line 2: SyntaxError: '\(' was never closed"),
         ("import os\n\nraise ValueError('no\\nway')\n", "line 3: ValueError: no way"),
         ("def build():\n    return 1 / 0\n", "line 2: ZeroDivisionError"),
-        ("def build():\n    return 3\n", "build gives no Scene but int"),
+        ("def build():\n    return 3\n", "build returns no Scene but int"),
         ("x = 1\n", "no function build"),
         ("build = 3\n", "no function build"),
         ("def build(size):\n    pass\n", "size of build has no default"),

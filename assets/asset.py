@@ -26,11 +26,14 @@ from assets.quantisation import (
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
+from core.rotation import quaternions_from_matrices
 from core.tetmesh import enclosed_volume, tet_volumes, vertex_components
 
 FORMAT = "vrgs-asset"
 LOSSLESS, QUANTISED = 1, 2  # versions of the format
 
+SIZE_RANGE = (0.01, 10.0)  # [m] largest extent of a body
+LEVEL = 1 - 1e-6  # least cosine of the vertical to itself where floors stay level
 INTEGER_DATASETS = {"object_id": np.uint16, "tets": np.int32, "surface": np.int32, "host": np.int32}
 
 WEIGHT_SUM_TOLERANCE = 1e-3  # of the four weights of a corner, as float32 rounds weights of some hundreds
@@ -150,6 +153,46 @@ class Asset:
             self.animation.check(len(self.cage.vertices), where)
         if self.thumbnail is not None:
             check_thumbnail(self.thumbnail, where)
+
+    def transformed(self, rotation: np.ndarray, factor: float = 1.0) -> Asset:
+        """The asset turned by `rotation` (3, 3) and made `factor` times as large, without being prepared again.
+
+        A body stands on y = 0 again, in the middle of its footprint; a cage's tets and the embedding stay what they
+        were, as both are affine. In a room that is tilted, floor, planes and places are found anew; its floor comes to
+        y = 0. Raises BadInput for a body with a motion of its own, for a room without a floor, and for a size that no
+        body can have.
+        """
+        rotation = np.asarray(rotation, np.float64)
+        if self.animation is not None:
+            raise BadInput("its frame is that of its motion: it can be turned and scaled for this play only")
+        if not (np.isfinite(factor) and factor > 0.0):
+            raise BadInput(f"an asset cannot be made {factor:g} times as large")
+        shift, cage, environment = np.zeros(3), self.cage, self.environment
+        if cage is not None:
+            x = factor * (cage.vertices.astype(np.float64) @ rotation.T)
+            low, high = x.min(0), x.max(0)
+            size = (high - low).max()
+            if not SIZE_RANGE[0] <= size <= SIZE_RANGE[1]:
+                raise BadInput(f"a size of {size:.3g} m is out of range ({SIZE_RANGE[0]} to {SIZE_RANGE[1]:g})")
+            shift = -np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+            cage = Cage((x + shift).astype(np.float32), cage.tets, cage.surface)
+        tilted = environment is not None and rotation[1, 1] < LEVEL
+        if tilted:
+            from assets.orientation import floor_height
+
+            shift = np.array([0.0, -floor_height(self.gaussians.transformed(rotation, shift, factor)), 0.0])
+        g = self.gaussians.transformed(rotation, shift, factor)
+        grid = None if self.sdf is None else self.sdf.transformed(rotation, shift, factor)
+        if environment is not None:
+            environment = environment.transformed(rotation, shift, factor)
+        if tilted:
+            eye_height = factor * (self.environment.eye_position[1] - self.environment.floor_height)
+            environment = environment.relevelled(g, grid, eye_height)
+        last = [quaternions_from_matrices(rotation).tolist(), float(factor), shift.tolist()]
+        provenance = self.provenance | {"reoriented": [*self.provenance.get("reoriented", []), last]}
+        if "size" in provenance:
+            provenance["size"] = float(provenance["size"]) * factor
+        return replace(self, gaussians=g, cage=cage, sdf=grid, environment=environment, provenance=provenance)
 
     @classmethod
     def load(cls, path: str | Path) -> Asset:

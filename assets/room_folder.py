@@ -23,6 +23,7 @@ from assets.file_access import atomic_write, read_json
 from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
+from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 from core.typed import Form, Range, Shape, Size, from_plain, to_plain
 from core.vocabulary import Quat
 
@@ -90,6 +91,29 @@ class RoomManifest:
             raise ValueError("two objects have the same name")
         if math.dist(self.eye, self.target) < 1e-6:
             raise ValueError("the eye is at its target")
+
+    def transformed(self, rotation: np.ndarray, translation: np.ndarray) -> RoomManifest:
+        """The manifest of the room after x -> rotation @ x + translation, which puts its floor at y = 0."""
+        by = np.eye(4)
+        by[:3, :3], by[:3, 3] = rotation, translation
+        back = np.linalg.inv(by)
+
+        def at(point: Point) -> Point:
+            return tuple((rotation @ np.array(point) + translation).tolist())
+
+        def turned(o: RoomObject) -> RoomObject:
+            q = quaternions_from_matrices(rotation @ matrices_from_quaternions(np.array(o.rotation)))
+            return replace(o, position=at(o.position), rotation=tuple(q.tolist()))
+
+        return replace(
+            self,
+            objects=tuple(map(turned, self.objects)),
+            eye=at(self.eye),
+            target=at(self.target),
+            floor=0.0,
+            room_from_capture=by @ self.room_from_capture,
+            cameras=tuple(replace(c, world_to_camera=c.world_to_camera @ back) for c in self.cameras),
+        )
 
 
 def is_room_folder(path: str | Path) -> bool:

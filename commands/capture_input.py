@@ -16,8 +16,7 @@ import numpy as np
 from commands.segment import marked_photographs
 from commands.train import is_posed
 from core.errors import BadInput
-from prepare.room_capture.program_source import source_digest
-from prepare.room_capture.stages import Stages, file_key
+from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import Marks, read_marks
 from prepare.segment.mask_files import photograph_size, read_masks
 from prepare.segment.object_ids import masks_beside

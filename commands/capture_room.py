@@ -20,8 +20,7 @@ from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
 from core.runtime import end_taichi, start_taichi
-from prepare.room_capture.program_source import source_digest
-from prepare.room_capture.stages import Stages, file_key
+from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import marks_json
 from prepare.segment.mask_files import photograph_size
 

@@ -9,6 +9,7 @@ import numpy as np
 from core.errors import BadInput
 
 DISTANCE_MAX = float(np.finfo(np.float16).max)  # [m] files store distances as float16
+TURNED_NODES_MAX = 40_000_000  # of a turned grid: 160 MB
 SKIN_VOXELS = 2.0  # of a body's grid: so far from its visible surface contact allows for its cage being wider, at most
 
 
@@ -54,6 +55,26 @@ class DistanceGrid:
         """The grid of a shape `factor` times as large, values float32."""
         values = np.asarray(self.values, np.float32) * np.float32(factor)
         return DistanceGrid(values, np.asarray(self.origin, np.float64) * factor, float(self.spacing) * factor)
+
+    def transformed(self, rotation: np.ndarray, translation=(0.0, 0.0, 0.0), scale: float = 1.0) -> DistanceGrid:
+        """The grid of the shape x -> scale * rotation @ x + translation; interpolated only where there is a turn.
+
+        Raises BadInput if a grid around the turned one were too large.
+        """
+        scaled, translation = self.scaled(scale), np.asarray(translation, np.float64)
+        if np.abs(rotation - np.eye(3)).max() < 1e-9:
+            return DistanceGrid(scaled.values.astype(self.values.dtype), scaled.origin + translation, scaled.spacing)
+        ends = np.stack([np.asarray(scaled.origin), scaled.upper])
+        corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), -1).reshape(-1, 3) @ rotation.T
+        low, high = corners.min(0), corners.max(0)
+        shape = np.ceil((high - low) / scaled.spacing - 1e-6).astype(int) + 1
+        if shape.prod() > TURNED_NODES_MAX:
+            raise BadInput(f"a turned grid would have {int(shape.prod()):,} nodes: prepare it again instead")
+        values = np.empty(shape, np.float32)
+        for i in range(shape[0]):  # a slice at a time: positions of all nodes take six times the memory
+            nodes = low + scaled.spacing * np.stack(np.meshgrid([i], *map(np.arange, shape[1:]), indexing="ij"), -1)[0]
+            values[i] = scaled.sample_extended(nodes @ rotation)
+        return DistanceGrid(values.astype(self.values.dtype), low + translation, scaled.spacing)
 
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, unless the grid can be interpolated: two nodes an axis, all finite."""

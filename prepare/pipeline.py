@@ -9,10 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from assets.asset import Asset, Cage, CageEmbedding
+from assets.asset import SIZE_RANGE, Asset, Cage, CageEmbedding
 from assets.gaussians import Gaussians
 from assets.orientation import FRONT_SURE, front_of, most_likely, rotation_to_up, turned_about_up, up_probabilities
-from assets.reoriented import SIZE_RANGE
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, Material

@@ -18,7 +18,6 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from assets.asset import Asset
-from assets.reoriented import reoriented, turned_grid
 from core.tetmesh import tet_volumes
 from prepare.cage.level_set import ComponentSolid
 
@@ -86,7 +85,7 @@ def stood_up(asset: Asset, solids: list[ComponentSolid]) -> tuple[Asset, list[Co
         return asset, solids
     axis = np.cross(normal, [0.0, -1.0, 0.0])
     rotation = Rotation.from_rotvec(np.radians(lean) * axis / np.linalg.norm(axis)).as_matrix()
-    turned = reoriented(asset, rotation)
+    turned = asset.transformed(rotation)
     shift = np.array(turned.provenance["reoriented"][-1][2])
     provenance = asset.provenance | {"stood_up": round(lean, 1)}
     return replace(turned, provenance=provenance), [turned_solid(solid, rotation, shift) for solid in solids]
@@ -94,7 +93,7 @@ def stood_up(asset: Asset, solids: list[ComponentSolid]) -> tuple[Asset, list[Co
 
 def turned_solid(solid: ComponentSolid, rotation: np.ndarray, shift: np.ndarray) -> ComponentSolid:
     """The solid turned by `rotation` (3, 3), then moved by `shift` (3,) [m]."""
-    old, new = solid.distance, turned_grid(solid.distance, rotation, 1.0, shift)
+    old, new = solid.distance, solid.distance.transformed(rotation, shift)
     offset = (rotation.T @ (new.origin - shift) - old.origin) / old.spacing
     cells = (
         affine_transform(c.astype(np.uint8), rotation.T, offset, new.values.shape, order=0).astype(bool)

@@ -12,8 +12,6 @@ import numpy as np
 from assets.asset import Asset, is_quantised
 from assets.file_access import atomic_write_all, locked_folder
 from assets.library import SHIPPED_FOLDER, find_asset
-from assets.moved_room import moved_room
-from assets.reoriented import reoriented
 from assets.room_folder import MANIFEST, is_room_folder, read_room, write_manifest
 from core.errors import BadInput
 from core.rotation import best_fit_rotation, matrices_from_quaternions
@@ -50,7 +48,7 @@ def frame_writer(world: World | Viewer, body: int | None) -> tuple[Path, Callabl
     rotation, factor = start.T @ rotation, factor / placed.scale
     if np.abs(rotation - np.eye(3)).max() < SAME and abs(factor - 1.0) < SAME:
         raise BadInput(f"{path.stem} is in its file as it is here.")
-    changed = reoriented(asset, rotation, factor)
+    changed = asset.transformed(rotation, factor)
     return path, lambda: changed.save(path, quantised=small)
 
 
@@ -79,16 +77,16 @@ def write_room_turned(path: Path, rotation: np.ndarray, factor: float = 1.0) -> 
     Raises BadInput.
     """
     if not is_room_folder(path.parent):
-        reoriented(Asset.load(path), rotation, factor).save(path, quantised=is_quantised(path))
+        Asset.load(path).transformed(rotation, factor).save(path, quantised=is_quantised(path))
         return
     if factor != 1.0:
         raise BadInput(
             "The size of a captured room is that of its objects, too: vrgs.py capture --scale-points sets it."
         )
     with locked_folder(path.parent):  # vrgs.py capture may be making the room anew
-        changed, small = reoriented(Asset.load(path), rotation, factor), is_quantised(path)
+        changed, small = Asset.load(path).transformed(rotation, factor), is_quantised(path)
         room = read_room(path.parent)
-        moved = moved_room(room, rotation, np.array(changed.provenance["reoriented"][-1][2]))
+        moved = room.transformed(rotation, np.array(changed.provenance["reoriented"][-1][2]))
         with atomic_write_all(path, path.parent / MANIFEST) as (background, manifest):
             changed.save(background, quantised=small)
             write_manifest(manifest, moved)
@@ -105,7 +103,7 @@ def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:
         raise BadInput(f"{file.path.stem} comes with the program: only a file of your own can be changed for good.")
     turn, factor = file.turn, file.factor
     asset, small = Asset.load(file.path), is_quantised(file.path)
-    changed = None if asset.environment is not None else reoriented(asset, turn, factor)
+    changed = None if asset.environment is not None else asset.transformed(turn, factor)
 
     def write() -> None:
         if changed is None:

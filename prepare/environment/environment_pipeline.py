@@ -19,16 +19,26 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.planes import LEVEL_COS
 from prepare.cleaning import MIN_GAUSSIANS, cut_out, largest_component
-from prepare.environment.clear_view import clearest
-from prepare.environment.spawn_points import drop_point, standing_eyes
 from prepare.environment.support_planes import (
     SupportPlane,
+    clearest,
+    drop_point,
     floor_under,
     relative_to_floor,
+    standing_eyes,
     support_planes,
 )
-from prepare.environment.surfels import SURFACE_OPACITY, Surfels, haze, surfels, without_floaters
-from prepare.environment.visibility import VoxelGrid, open_space, oriented, viewers_in
+from prepare.environment.surfels import (
+    SURFACE_OPACITY,
+    Surfels,
+    VoxelGrid,
+    haze,
+    open_space,
+    oriented,
+    surfels,
+    viewers_in,
+    without_floaters,
+)
 from prepare.environment.winding_number import COARSENING, WindingNumber, signed_distance, winding_number
 from prepare.progress import Progress, no_progress
 

@@ -15,8 +15,7 @@ from scipy.fft import irfftn, next_fast_len, rfftn
 from scipy.ndimage import distance_transform_edt
 
 from core.distance_grid import DistanceGrid, sample
-from prepare.environment.surfels import Surfels
-from prepare.environment.visibility import VoxelGrid
+from prepare.environment.surfels import Surfels, VoxelGrid
 
 COARSENING = 2  # voxel size of the winding number over that of the distance: it is smooth off the surface
 SOFTENING = 0.5  # of a coarse voxel; softens the kernel's pole

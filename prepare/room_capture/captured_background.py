@@ -28,9 +28,16 @@ from prepare.environment.environment_pipeline import (
     orient_surface,
     plane_row,
 )
-from prepare.environment.spawn_points import DROP_SPACE, cell_centres, clearance, unobstructed
-from prepare.environment.support_planes import CELL, SupportPlane, support_planes
-from prepare.environment.visibility import VoxelGrid
+from prepare.environment.support_planes import (
+    CELL,
+    DROP_SPACE,
+    SupportPlane,
+    cell_centres,
+    clearance,
+    support_planes,
+    unobstructed,
+)
+from prepare.environment.surfels import VoxelGrid
 from prepare.progress import Progress, no_progress
 
 VIEWERS = 40  # cameras from which surfaces are oriented; more add nothing

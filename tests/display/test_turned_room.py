@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose
 from assets.asset import Asset
 from assets.file_access import locked_folder
 from assets.library import SHIPPED_FOLDER
-from assets.moved_room import moved_room
 from assets.room_folder import RoomManifest, RoomObject, read_room, write_room
 from core.camera import look_at, perspective
 from core.errors import BadInput
@@ -143,7 +142,7 @@ def test_only_a_room_of_the_users_turns(folder):
 def test_a_manifest_moves_as_a_whole(folder):
     """A camera sees an object at the same place as before."""
     room = read_room(folder)
-    moved = moved_room(room, TURN, np.array([0.0, 0.3, 0.0]))
+    moved = room.transformed(TURN, np.array([0.0, 0.3, 0.0]))
 
     def seen(r: RoomManifest) -> np.ndarray:
         return r.cameras[0].world_to_camera @ [*r.objects[0].position, 1.0]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
-from prepare.environment.clear_view import CLEAR, clearest
+from prepare.environment.support_planes import CLEAR, clearest
 
 
 def discs(points, sigma: float) -> Gaussians:

@@ -207,7 +207,7 @@ def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
 )
 def test_up_is_found_and_refined(up, turn):
     g = room().transformed(turn)
-    assert guess_up_axis(g, "scene")[0] == up
+    assert guess_up_axis(g)[0] == up
     g = g.select(g.opacities > SURFACE_OPACITY)
     floor, rotation = find_gravity(g.means.astype(float), *normals_and_areas(g), up)
     assert (rotation @ turn)[1, 1] > np.cos(np.radians(0.1))

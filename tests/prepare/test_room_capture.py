@@ -22,11 +22,9 @@ from prepare.progress import no_progress
 from prepare.room_capture import stages as stages_module
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
 from prepare.room_capture.contributions import contributions, needed
-from prepare.room_capture.objects import liftable, object_files, steady, support_of
-from prepare.room_capture.program_source import source_digest
+from prepare.room_capture.objects import base_of, liftable, object_files, seated, steady, support_of, without_solid
 from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, inpainted, without_objects
-from prepare.room_capture.seats import base_of, seated, without_solid
-from prepare.room_capture.stages import Stages
+from prepare.room_capture.stages import Stages, source_digest
 from sim.contact.contact_samples import skin_depth, surface_points
 
 

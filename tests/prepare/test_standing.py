@@ -6,15 +6,14 @@ from scipy.spatial.transform import Rotation
 
 from assets.asset import Asset
 from assets.library import SHIPPED_FOLDER
-from assets.reoriented import reoriented
 from prepare.cage.level_set import ComponentSolid
 from prepare.standing import stood_up
 
 
 def leaning(name: str, degrees: float) -> tuple[Asset, ComponentSolid]:
     """A shipped body that leans sideways, and its distance grid as a solid."""
-    asset = reoriented(
-        Asset.load(SHIPPED_FOLDER / f"{name}.h5"), Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    asset = Asset.load(SHIPPED_FOLDER / f"{name}.h5").transformed(
+        Rotation.from_euler("z", degrees, degrees=True).as_matrix()
     )
     inside = asset.sdf.values < 0
     return asset, ComponentSolid(inside & (np.indices(inside.shape)[0] % 2 == 0), inside, asset.sdf)

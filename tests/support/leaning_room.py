@@ -7,7 +7,6 @@ import numpy as np
 from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians
-from assets.reoriented import turned_environment, turned_grid
 from core.distance_grid import DistanceGrid
 
 
@@ -28,7 +27,5 @@ def leaning_room(lean: np.ndarray) -> Asset:
     grid = DistanceGrid(over, np.array([-1.5, -0.5, -1.5]), 0.1)
     planes = (("floor", 0.0, -2.0, -2.0, 2.0, 2.0), ("table", 0.7, 0.0, 0.0, 1.0, 0.6))
     level = Asset(g, sdf=grid, environment=Environment(0.0, (-0.5, 0.0, 0.2), (-0.5, 1.6, 1.2), 0.4, planes))
-    turned = turned_environment(level.environment, lean, 1.0, np.zeros(3))
-    return replace(
-        level, gaussians=g.transformed(lean), sdf=turned_grid(grid, lean, 1.0, np.zeros(3)), environment=turned
-    )
+    turned = level.environment.transformed(lean, np.zeros(3))
+    return replace(level, gaussians=g.transformed(lean), sdf=grid.transformed(lean), environment=turned)

@@ -10,7 +10,6 @@ from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians, concatenate
 from assets.library import SHIPPED_FOLDER
-from assets.reoriented import reoriented, turned_environment
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
@@ -27,7 +26,7 @@ def toy() -> Asset:
 
 def test_a_body_is_sound_stands_again_and_keeps_its_embedding(toy, tmp_path):
     """The corners of local tetrahedra lie where the turned ones do, as barycentric weights are affine."""
-    new = reoriented(toy, TURN, 1.5)
+    new = toy.transformed(TURN, 1.5)
     new.save(tmp_path / "new.h5")
     new = Asset.load(tmp_path / "new.h5")
     assert new.cage.vertices[:, 1].min() == pytest.approx(0.0, abs=1e-6)
@@ -44,7 +43,7 @@ def centres(asset: Asset) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_its_distances_are_those_of_the_turned_shape(toy):
-    new = reoriented(toy, TURN, 1.5)
+    new = toy.transformed(TURN, 1.5)
     shift = new.cage.vertices[0] - 1.5 * TURN @ toy.cage.vertices[0]
     x = toy.cage.vertices[::5].astype(float) * 0.97
     there = new.sdf.sample(1.5 * x @ TURN.T + shift)
@@ -52,8 +51,8 @@ def test_its_distances_are_those_of_the_turned_shape(toy):
 
 
 def test_back_again_it_is_as_before(toy):
-    there = reoriented(toy, TURN, 1.5)
-    back = reoriented(there, TURN.T, 1 / 1.5)
+    there = toy.transformed(TURN, 1.5)
+    back = there.transformed(TURN.T, 1 / 1.5)
     assert_allclose(np.ptp(back.gaussians.means, axis=0), np.ptp(toy.gaussians.means, axis=0), rtol=1e-5)
     assert len(back.provenance["reoriented"]) == 2
 
@@ -70,14 +69,14 @@ def room() -> Asset:
 def test_a_room_turns_about_the_vertical_and_grows(tmp_path):
     """A quarter turn to the left takes x to -z: nodes of the grids meet nodes, and rectangles rectangles."""
     quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-    old, new = room(), reoriented(room(), quarter, 2.0)
+    old, new = room(), room().transformed(quarter, 2.0)
     new.save(tmp_path / "room.h5")
     assert new.environment.planes[1] == ("table", 1.4, 0.0, -2.0, 1.0, 0.0)
     assert_allclose(new.environment.eye_position, (2.0, 3.2, 0.0), atol=1e-12)
     assert new.environment.clear_radius == 0.6
     points = old.sdf.nodes().reshape(-1, 3)
     assert_allclose(new.sdf.sample(2 * points @ quarter.T), 2 * old.sdf.values.ravel().astype(float), atol=2e-3)
-    same = reoriented(room(), np.eye(3), 2.0)
+    same = room().transformed(np.eye(3), 2.0)
     assert_allclose(same.sdf.values, 2 * old.sdf.values.astype(np.float32), atol=2e-3)
 
 
@@ -85,7 +84,7 @@ def test_a_target_is_kept_in_the_file_and_turned_with_the_room(tmp_path):
     environment = replace(room().environment, target=(0.0, 1.0, 0.0), planes=(("unseen", 0.0, -1.0, -1.0, 1.0, 1.0),))
     replace(room(), environment=environment).save(tmp_path / "a.h5")
     assert Environment.load(tmp_path / "a.h5").target == (0.0, 1.0, 0.0)
-    turned = turned_environment(environment, np.diag([-1.0, -1.0, 1.0]), 2.0, np.array([0.0, 0.0, 1.0]))
+    turned = environment.transformed(np.diag([-1.0, -1.0, 1.0]), np.array([0.0, 0.0, 1.0]), 2.0)
     assert turned.target == pytest.approx((0.0, -2.0, 1.0))
     broken = replace(environment, target=(0.0, float("nan"), 0.0))
     replace(room(), environment=broken).save(tmp_path / "b.h5")
@@ -102,7 +101,7 @@ def upright_wall() -> Gaussians:
 def test_a_room_that_leans_is_put_level():
     """Floor, table, drop and eye are those of the level room, and the distance grid is that over its floor."""
     lean = matrices_from_quaternions(np.array([np.cos(0.1), np.sin(0.1), 0, 0]))  # 11 degrees
-    new = reoriented(leaning_room(lean), lean.T)
+    new = leaning_room(lean).transformed(lean.T)
     found = new.environment
     assert found.floor_height == 0.0 and [p[0] for p in found.planes] == ["floor", "table"]
     assert_allclose(found.planes[1][1], 0.7, atol=0.02)
@@ -120,7 +119,7 @@ def test_a_room_on_its_head_gets_another_floor():
     ceiling = np.random.default_rng(2).uniform([-2, 2.39, -2], [2, 2.41, 2], (4000, 3))
     room = leaning_room(np.eye(3))
     room = replace(room, gaussians=concatenate([room.gaussians, flat(ceiling, [-3.0, -7.0, -3.0])]))
-    found = reoriented(room, over)
+    found = room.transformed(over)
     low = found.gaussians.means[:, 1].min()
     assert low == pytest.approx(0.0, abs=0.05) and found.environment.planes[0][1] == 0.0
     assert found.provenance["reoriented"][0][2][1] == pytest.approx(2.4, abs=0.02)
@@ -140,4 +139,4 @@ TURN_A_LITTLE = matrices_from_quaternions(np.array([np.cos(0.05), 0, 0, np.sin(0
 )
 def test_what_cannot_be_is_refused(make, turn, factor, says):
     with pytest.raises(BadInput, match=says):
-        reoriented(make(), turn, factor)
+        make().transformed(turn, factor)

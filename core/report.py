@@ -17,8 +17,8 @@ h1 { font-size: 1.7em; } h2 { margin-top: 2.2em; border-bottom: 1px solid #ccc8b
 .facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 12px; margin: 1.4em 0; }
 .facts div { background: #fff; border-radius: 8px; padding: 12px 16px; } .facts b { display: block; font-size: 1.3em; }
 .facts span { color: #78746f; font-size: .85em; }
-figure { display: inline-block; margin: 0 10px 12px 0; vertical-align: top; }
-figure img, figure svg { display: block; max-width: 100%; border-radius: 4px; }
+figure { display: inline-block; width: min-content; margin: 0 10px 12px 0; vertical-align: top; }
+figure img, figure svg { display: block; max-width: min(1160px, 92vw); height: auto; border-radius: 4px; }
 figcaption { font-size: .85em; color: #555; }
 svg text { font: 12px system-ui, sans-serif; fill: #666; }
 table { border-collapse: collapse; margin: 1em 0; font-variant-numeric: tabular-nums; }

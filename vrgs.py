@@ -9,8 +9,11 @@ import sys
 import threading
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
-SUMMARY = "VR-GS: captures as Gaussians that can be grabbed, squeezed and thrown."
+if TYPE_CHECKING:
+    from commands.play import PlayOptions
+
 START = "`make play` installs all; then start the program with .venv/bin/python, or activate .venv (README.md)"
 
 
@@ -38,25 +41,24 @@ def repeat_interrupt(report: Callable, unraisable) -> None:
 def run(argv: list[str]) -> int:
     """Run one command. What it imports is imported here, where an interrupt is told in a line."""
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # before anything imports Taichi
-    try:
-        from commands.parser import parse
-        from core.errors import BadInput, Cancelled
-        from core.program import as_called
-        from core.runtime import is_out_of_memory
-    except ModuleNotFoundError as e:
-        print(f"vrgs: {sys.executable} has no package {e.name}: {START}", file=sys.stderr)
-        return 2
+    from core.errors import BadInput, Cancelled
+    from core.program import as_called
 
-    for i in range(len(argv) - 2, -1, -1):  # argparse would take the -y of `--up -y` for an option
-        if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):
-            argv = [*argv[:i], f"--up={argv[i + 1]}", *argv[i + 2 :]]
     try:
-        args = parse(argv, SUMMARY, play)
-        return args.run(args) or 0
+        try:
+            from commands.parser import parse
+
+            command, options = parse(argv)
+        except ModuleNotFoundError as e:
+            print(f"vrgs: {sys.executable} has no package {e.name}: {START}", file=sys.stderr)
+            return 2
+        return (command or play)(options) or 0
     except BadInput as e:
         print(f"vrgs: {as_called(' '.join(str(e).split()))}", file=sys.stderr)
         return 2
     except (MemoryError, RuntimeError) as e:
+        from core.runtime import is_out_of_memory
+
         if not is_out_of_memory(e):
             raise
         print("vrgs: not enough memory; try a smaller picture or fewer Gaussians", file=sys.stderr)
@@ -68,11 +70,11 @@ def run(argv: list[str]) -> int:
         return 0
 
 
-def play(args) -> None:
+def play(options: PlayOptions) -> None:
     """Play a scene: in a window, in a headset, or headless with its scripted hand."""
     from commands.play import open_session
 
-    with open_session(args) as session:
+    with open_session(options) as session:
         display, film, recording = session.display, session.film, session.recording
         for frame in session.frames():  # time, cameras, hands, commands
             world = session.world  # the user may open another scene

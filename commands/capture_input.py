@@ -5,11 +5,11 @@ Objects are asked for first: poses and training take minutes, and marks are draw
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from prepare.train.structure_from_motion import (
     photographs_in,
     sharpest_frames,
 )
+
+if TYPE_CHECKING:
+    from commands.capture_room import CaptureOptions
 
 MARKS = "marks.json"  # beside the photographs
 Say = Callable[[str], None]
@@ -54,22 +57,22 @@ def stages_before(capture: Path) -> tuple[str, ...]:
 
 
 def photographed(
-    args: argparse.Namespace, stages: Stages, say: Say, check: Callable[[list[View]], None]
+    options: CaptureOptions, stages: Stages, say: Say, check: Callable[[list[View]], None]
 ) -> Photographed:
-    """The capture that `args.capture` names; `check` takes its photographs before poses are found. Raises BadInput."""
-    if is_posed(args.capture):
-        capture = read_capture(args.capture)
+    """The capture that --capture names; `check` takes its photographs before poses are found. Raises BadInput."""
+    if is_posed(options.capture):
+        capture = read_capture(options.capture)
         check(capture.views)
-        return Photographed(capture, *objects_of(args, capture, capture.folder / MARKS, say))
+        return Photographed(capture, *objects_of(options, capture, capture.folder / MARKS, say))
     load_pycolmap()
-    folder, place, video = args.capture, args.capture / MARKS, args.capture.is_file()
+    folder, place, video = options.capture, options.capture / MARKS, options.capture.is_file()
     if video:
-        key, source = file_key(args.capture), source_digest("prepare.train.structure_from_motion")
-        folder = stages.run("frames", {"video": key}, lambda made: frames_of(args.capture, made, say), source)
-        place = args.out / MARKS
+        key, source = file_key(options.capture), source_digest("prepare.train.structure_from_motion")
+        folder = stages.run("frames", {"video": key}, lambda made: frames_of(options.capture, made, say), source)
+        place = options.out / MARKS
     views = without_poses(image_folder(folder))
     check(views)
-    marks, masks = objects_of(args, Capture(folder, views), place, say)
+    marks, masks = objects_of(options, Capture(folder, views), place, say)
     capture = with_poses(folder, views, video, stages, say)
     if marks is not None:
         marks = marks_in(marks, [view.name for view in capture.views], say)
@@ -103,18 +106,18 @@ def with_poses(folder: Path, views: list[View], video: bool, stages: Stages, say
     return checked(read_colmap(done / "sparse", folder))
 
 
-def objects_of(args: argparse.Namespace, capture: Capture, place: Path, say: Say) -> tuple[Marks | None, Path | None]:
+def objects_of(options: CaptureOptions, capture: Capture, place: Path, say: Say) -> tuple[Marks | None, Path | None]:
     """Marks of objects, or the folder of their masks, checked against the photographs; neither for --no-objects.
 
     Without any the user is asked, and `place` receives the marks. Raises BadInput.
     """
-    if args.no_objects:
+    if options.no_objects:
         return None, None
     sizes = {view.name: photograph_size(view)[::-1] for view in capture.views}
-    marks = args.marks or (place if args.masks is None and place.is_file() else None)
+    marks = options.marks or (place if options.masks is None and place.is_file() else None)
     if marks is not None:
         return read_marks(marks, sizes), None
-    masks = args.masks or masks_beside(capture, say)
+    masks = options.masks or masks_beside(capture, say)
     if masks is not None:
         read_masks(masks, capture.views)
         return None, masks

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,20 @@ import numpy as np
 from assets.file_access import atomic_write, locked_folder, make_folder
 from commands import train
 from commands.capture_input import capture_key, photographed, stages_before
-from commands.conditions import Condition
-from commands.options import add_arch, positive
+from commands.options import (
+    Amount,
+    Arch,
+    Condition,
+    Count,
+    OneOf,
+    Options,
+    arch_option,
+    argument,
+    option,
+    reduce_option,
+    seed_option,
+    switch,
+)
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
@@ -24,98 +35,94 @@ from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import marks_json
 from prepare.segment.mask_files import photograph_size
 
-HELP = "turn photographs into a room to play in: its objects can be grabbed, and what they hid is filled in"
-EXAMPLES = (
-    "capture bear/ --marks marks.json --out bear_room/          then: python vrgs.py --scene bear_room/",
-    "capture kitchen.mp4 --no-objects --out kitchen/            only the room; needs pycolmap",
-    "capture toys/ --masks toys/masks --out room/ --steps 2000 --reduce 2",
-    "capture bear/ --marks m.json --out r/ --scale-points frame_00001.jpg:210,380 frame_00001.jpg:310,385 0.46",
-)
 STAGES = ("train", "cameras", "objects", "cages", "inpaint", "room")
 TRAINED = "trained.ply"
 STEPS = {"cuda": 10_000, "cpu": 3_000}
-CONDITIONS = (
-    Condition(("--lama", "--vertices", "--material"), lambda args: not args.no_objects, "is not for --no-objects"),
-)
+OBJECTS = OneOf()
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    text = "folder with transforms.json or a COLMAP model, a transforms.json, folder of photographs, or a video"
-    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="ROOM/", help="folder of the room; an interrupted run resumes there"
+@dataclass(kw_only=True)
+class CaptureOptions(Options):
+    """Options of `capture`."""
+
+    EXAMPLES = (
+        "capture bear/ --marks marks.json --out bear_room/          then: python vrgs.py --scene bear_room/",
+        "capture kitchen.mp4 --no-objects --out kitchen/            only the room; needs pycolmap",
+        "capture toys/ --masks toys/masks --out room/ --steps 2000 --reduce 2",
+        "capture bear/ --marks m.json --out r/ --scale-points frame_00001.jpg:210,380 frame_00001.jpg:310,385 0.46",
     )
-    which = parser.add_mutually_exclusive_group()
-    text = "marks of objects in some photographs (default: CAPTURE/marks.json, else CAPTURE/masks, else a window opens)"
-    which.add_argument("--marks", type=Path, metavar="MARKS.json", help=text)
-    text = "folder of masks, one colour per object"
-    which.add_argument("--masks", type=Path, metavar="FOLDER", help=text)
-    which.add_argument("--no-objects", action="store_true", help="only the room; nothing in it can be grabbed")
-    text = (
-        "two points, each PHOTOGRAPH:x,y [px] or x,y,z in the capture, and their distance [m] (default: guessed scale)"
+    CONDITIONS = (
+        Condition(("--lama", "--vertices", "--material"), lambda o: not o.no_objects, "is not for --no-objects"),
     )
-    parser.add_argument("--scale-points", nargs=3, metavar=("A", "B", "M"), help=text)
-    text = f"steps of the training (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU)"
-    parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
-    text = "divide width and height of the photographs by N"
-    parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help=text)
-    text = f"upper limit of Gaussians (default {train.CAPS['cuda']:,} on a GPU, {train.CAPS['cpu']:,} on a CPU)"
-    parser.add_argument("--cap", type=positive(int), metavar="N", help=text)
-    text = "vertices of each object's cage (default: as suits the device)"
-    parser.add_argument("--vertices", type=positive(int), metavar="N", help=text)
-    text = "material of all objects (default: plush, light enough to lift; see: vrgs.py materials)"
-    parser.add_argument("--material", metavar="NAME", help=text)
-    text = "LaMa network that fills the holes behind objects (default: patch synthesis)"
-    parser.add_argument("--lama", type=Path, metavar="FILE.onnx", help=text)
-    text = "spacing of the room's distance grid (default: by size)"
-    parser.add_argument("--cell", type=positive(float), metavar="M", help=text)
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
-    add_arch(parser)
+
+    capture: Path = argument(
+        "CAPTURE", "folder with transforms.json or a COLMAP model, a transforms.json, folder of photographs, or a video"
+    )
+    out: Path = option("ROOM/", "folder of the room; an interrupted run resumes there", required=True)
+    marks: Path | None = option(
+        "MARKS.json",
+        "marks of objects in some photographs (default: CAPTURE/marks.json, else CAPTURE/masks, else a window opens)",
+        one_of=OBJECTS,
+    )
+    masks: Path | None = option("FOLDER", "folder of masks, one colour per object", one_of=OBJECTS)
+    no_objects: bool = switch("only the room; nothing in it can be grabbed", one_of=OBJECTS)
+    scale_points: tuple[str, str, str] | None = option(
+        ("A", "B", "M"),
+        "two points, each PHOTOGRAPH:x,y [px] or x,y,z in the capture, and their distance [m] (default: guessed scale)",
+    )
+    steps: Count | None = option(
+        "N", f"steps of the training (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU)"
+    )
+    reduce: Count = reduce_option("the photographs")
+    cap: Count | None = option(
+        "N", f"upper limit of Gaussians (default {train.CAPS['cuda']:,} on a GPU, {train.CAPS['cpu']:,} on a CPU)"
+    )
+    vertices: Count | None = option("N", "vertices of each object's cage (default: as suits the device)")
+    material: str | None = option(
+        "NAME", "material of all objects (default: plush, light enough to lift; see: vrgs.py materials)"
+    )
+    lama: Path | None = option(
+        "FILE.onnx", "LaMa network that fills the holes behind objects (default: patch synthesis)"
+    )
+    cell: Amount | None = option("M", "spacing of the room's distance grid (default: by size)")
+    seed: int = seed_option()
+    arch: Arch | None = arch_option()
 
 
-def run(args: argparse.Namespace) -> None:
+def capture(options: CaptureOptions) -> None:
     """Make the room, stage by stage. Raises BadInput before anything long where an input is at fault."""
-    make_room(args)
-    print(f"{args.out}: play it with: python vrgs.py --scene {args.out}")
+    make_room(options)
+    print(f"{options.out}: play it with: python vrgs.py --scene {options.out}")
 
 
-def make_room(args: argparse.Namespace) -> None:
-    """Make the room of a capture in the folder `args.out`. Raises BadInput, also if another run writes there."""
-    check(args)
-    with locked_folder(args.out):  # two runs would remove each other's stages
-        start_taichi(args.arch, args.seed)
-        stages = Stages(args.out / "work", (*stages_before(args.capture), *STAGES))
-        RoomMaking(args, stages).make()
+def make_room(options: CaptureOptions) -> None:
+    """Make the room of a capture in the folder --out. Raises BadInput, also if another run writes there."""
+    check(options)
+    with locked_folder(options.out):  # two runs would remove each other's stages
+        start_taichi(options.arch, options.seed)
+        stages = Stages(options.out / "work", (*stages_before(options.capture), *STAGES))
+        RoomMaking(options, stages).make()
 
 
-def room_arguments(capture: Path, room: Path, arch: str | None, seed: int) -> argparse.Namespace:
-    """Arguments of the command for a capture and its room, all else as usual."""
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    words = [str(capture), "--out", str(room), "--seed", str(seed), *(["--arch", arch] if arch else [])]
-    return parser.parse_args(words)
-
-
-def check(args: argparse.Namespace) -> None:
+def check(options: CaptureOptions) -> None:
     """Check what can be checked before anything long. Raises BadInput."""
-    if not args.capture.exists():
-        raise BadInput(f"{args.capture}: no such file or folder")
-    if args.out.exists() and not args.out.is_dir():
-        raise BadInput(f"{args.out}: is a file; a room is a folder")
-    if args.material is not None and args.material not in MATERIALS:
-        raise BadInput(f"no material named {args.material!r}; see: vrgs.py materials")
-    for path in filter(None, (args.marks, args.masks, args.lama)):
+    if not options.capture.exists():
+        raise BadInput(f"{options.capture}: no such file or folder")
+    if options.out.exists() and not options.out.is_dir():
+        raise BadInput(f"{options.out}: is a file; a room is a folder")
+    if options.material is not None and options.material not in MATERIALS:
+        raise BadInput(f"no material named {options.material!r}; see: vrgs.py materials")
+    for path in filter(None, (options.marks, options.masks, options.lama)):
         if not path.exists():
             raise BadInput(f"{path}: no such file or folder")
-    if args.lama:
+    if options.lama:
         from prepare.onnx_network import LamaNetwork
 
-        LamaNetwork(args.lama)  # needed in an hour, perhaps
-    if args.scale_points:
-        for text in args.scale_points[:2]:
+        LamaNetwork(options.lama)  # needed in an hour, perhaps
+    if options.scale_points:
+        for text in options.scale_points[:2]:
             parsed_point(text)
-        parsed_length(args.scale_points[2])
+        parsed_length(options.scale_points[2])
 
 
 def parsed_length(text: str) -> float:
@@ -157,8 +164,8 @@ def check_points(scale_points: list[str] | None, sizes: dict[str, tuple[int, int
 class RoomMaking:
     """The stages of a room, each with what it needs of those before it."""
 
-    def __init__(self, args: argparse.Namespace, stages):
-        self.args, self.stages, self.notes = args, stages, []
+    def __init__(self, options: CaptureOptions, stages: Stages):
+        self.options, self.stages, self.notes = options, stages, []
         self.source = source_digest("commands.capture_room")
 
     def say(self, text: str) -> None:
@@ -189,27 +196,30 @@ class RoomMaking:
 
         from assets.splat_files import read_gaussians
 
-        a = self.args
-        steps = a.steps or STEPS["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
-        options = {"steps": steps, "reduce": a.reduce, "cap": a.cap, "seed": a.seed}
-        given = photographed(a, self.stages, self.say, self.check_points)
+        o = self.options
+        steps = o.steps or STEPS["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
+        inputs = {"steps": steps, "reduce": o.reduce, "cap": o.cap, "seed": o.seed}
+        given = photographed(o, self.stages, self.say, self.check_points)
         self.marks, self.masks = given.marks, given.masks
 
-        def arguments(folder: Path) -> argparse.Namespace:
-            parser = argparse.ArgumentParser()
-            train.add_arguments(parser)
-            words = [str(a.capture), "--fast", "--out", str(folder / TRAINED), "--report", str(folder / "trained.json")]
-            for key, value in options.items():
-                words += [f"--{key}", str(value)] if value is not None else []
-            words += ["--masks", str(self.masks or train.NO_MASKS)]
-            return parser.parse_args([*words, *(["--arch", a.arch] if a.arch else [])])
-
         def make(folder: Path) -> None:
-            train.run(arguments(folder), given.capture)
+            training = train.TrainOptions(
+                capture=o.capture,
+                out=folder / TRAINED,
+                report=folder / "trained.json",
+                fast=True,
+                steps=steps,
+                reduce=o.reduce,
+                cap=o.cap,
+                masks=self.masks or train.NO_MASKS,
+                seed=o.seed,
+                arch=o.arch,
+            )
+            train.train(training, given.capture)
             end_taichi()  # and with it the memory of the training
-            start_taichi(a.arch, a.seed)
+            start_taichi(o.arch, o.seed)
 
-        inputs = {**options, **capture_key(given.capture)}
+        inputs |= capture_key(given.capture)
         if self.masks is not None:
             inputs["masks"] = [file_key(p) for p in sorted(self.masks.iterdir())]
         done = self.stages.run("train", inputs, make, source_digest("commands.train"))
@@ -219,7 +229,7 @@ class RoomMaking:
 
     def check_points(self, views: list) -> None:
         """Check points of --scale-points. Raises BadInput."""
-        check_points(self.args.scale_points, {view.name: photograph_size(view)[::-1] for view in views})
+        check_points(self.options.scale_points, {view.name: photograph_size(view)[::-1] for view in views})
 
     def look(self):
         """Contributions of the Gaussians to the photographs."""
@@ -240,7 +250,7 @@ class RoomMaking:
         from prepare.room_capture.room_pipeline import without_supports
 
         g, progress = self.gaussians, self.stages.progress
-        if self.args.no_objects:
+        if self.options.no_objects:
             self.stages.run("objects", {"none": True}, lambda folder: None, self.source)
             self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
@@ -260,25 +270,25 @@ class RoomMaking:
         from prepare.train.photographs import load_photographs
 
         views, g, progress = self.capture.views, self.gaussians, self.stages.progress
-        photographs = load_photographs(views, self.args.reduce)
+        photographs = load_photographs(views, self.options.reduce)
         masks = propagate_marks(self.capture, photographs, self.marks, g, progress)
-        photographs = load_photographs(views, self.args.reduce, masks.ids)
+        photographs = load_photographs(views, self.options.reduce, masks.ids)
         return learned_objects(g, self.capture, photographs, masks.names, progress)
 
     def measured(self) -> dict:
         """Points and length of --scale-points."""
         from prepare.room_capture.room_pipeline import point_in_photograph
 
-        if not self.args.scale_points:
+        if not self.options.scale_points:
             return {}
         points = []
-        for text in self.args.scale_points[:2]:
+        for text in self.options.scale_points[:2]:
             name, values = parsed_point(text)
             if name:
                 points.append(point_in_photograph(self.gaussians, self.capture, name, *values))
             else:
                 points.append(self.turn @ np.array(values))
-        return {"measured": tuple(points), "length": parsed_length(self.args.scale_points[2])}
+        return {"measured": tuple(points), "length": parsed_length(self.options.scale_points[2])}
 
     def cages(self, room, held) -> tuple:
         """The room with the objects that have a body, and these."""
@@ -287,12 +297,12 @@ class RoomMaking:
         from prepare.prepared_files import device_vertices
         from prepare.room_capture.room_pipeline import bodies, without_objects
 
-        a = self.args
-        vertices = (a.vertices,) if a.vertices else device_vertices(animated=False)
-        inputs = {"vertices": vertices, "material": a.material, "scale_points": a.scale_points}
+        o = self.options
+        vertices = (o.vertices,) if o.vertices else device_vertices(animated=False)
+        inputs = {"vertices": vertices, "material": o.material, "scale_points": o.scale_points}
 
         def make(folder: Path) -> None:
-            options = {"vertices": vertices, "material": a.material, "progress": self.stages.part, "say": self.say}
+            options = {"vertices": vertices, "material": o.material, "progress": self.stages.part, "say": self.say}
             found, lost = bodies(room, held, **options)
             make_folder(folder / "objects")
             for asset, thing in found:
@@ -312,15 +322,15 @@ class RoomMaking:
         from assets.splat_files import read_gaussians, write_gaussians
         from prepare.room_capture.room_pipeline import inpainted
 
-        a = self.args
-        inputs = {"lama": str(a.lama) if a.lama else None}
+        o = self.options
+        inputs = {"lama": str(o.lama) if o.lama else None}
 
         def make(folder: Path) -> None:
             painter = None
-            if a.lama:
+            if o.lama:
                 from prepare.onnx_network import LamaNetwork
 
-                painter = LamaNetwork(a.lama)
+                painter = LamaNetwork(o.lama)
             write_gaussians(folder / "background.ply", inpainted(room, self.stages.part, self.say, painter))
 
         done = self.stages.run("inpaint", inputs, make, self.source)
@@ -334,9 +344,11 @@ class RoomMaking:
         from prepare.room_capture.room_pipeline import background, manifest
 
         def make(folder: Path) -> None:
-            background(room, rest, things, cell=self.args.cell, progress=self.stages.progress).save(folder / "room.h5")
+            background(room, rest, things, cell=self.options.cell, progress=self.stages.progress).save(
+                folder / "room.h5"
+            )
 
-        done, out = self.stages.run("room", {"cell": self.args.cell}, make, self.source), self.args.out
+        done, out = self.stages.run("room", {"cell": self.options.cell}, make, self.source), self.options.out
         (out / MANIFEST).unlink(missing_ok=True)  # until all parts are there this is no room
         shutil.rmtree(out / "objects", ignore_errors=True)
         make_folder(out / "objects")

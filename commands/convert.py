@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +12,26 @@ import numpy as np
 from assets.formats.ply import chunk_order
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import COMPRESSED, kind_to_write, read_gaussians, write_gaussians
-from commands.options import SPLATS
+from commands.options import SPLATS, Options, argument
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
-HELP = "convert between splat formats"
-EXAMPLES = ("convert cat.sog cat.spz",)
 PROGRESS_SIZE_MIN = 20 << 20  # [bytes] of input; less takes about a second
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")
-    parser.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
+@dataclass(kw_only=True)
+class ConvertOptions(Options):
+    """Options of `convert`."""
+
+    EXAMPLES = ("convert cat.sog cat.spz",)
+
+    input: Path = argument("IN", f"{SPLATS} or .h5")
+    output: Path = argument("OUT", ".ply, .compressed.ply, .spz or .splat")
 
 
-def run(args: argparse.Namespace) -> None:
-    """Convert `args.input` to `args.output` and print what was written and what was lost. Raises BadInput."""
-    source, target = Path(args.input), Path(args.output)
+def convert(options: ConvertOptions) -> None:
+    """Convert the input to the output, and print what was written and what was lost. Raises BadInput."""
+    source, target = options.input, options.output
     kind = kind_to_write(target)
     exist = [os.path.isfile(path) for path in (source, target)]  # False where Path.exists may raise
     if all(exist) and source.samefile(target):

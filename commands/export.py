@@ -2,63 +2,51 @@
 
 from __future__ import annotations
 
-import argparse
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from assets.file_access import check_writable
-from commands.conditions import Condition
-from commands.options import add_scene_options, positive
-from commands.play import PREPARATION, STATE_CONDITION, add_scene_arguments, open_session
+from commands.options import Condition, Count, option, switch
+from commands.play import PREPARATION, STATE, PlayOptions, SceneOptions, open_session
 from core.errors import BadInput
 
-HELP = "write a scene as it is in play: splats, cages, surfaces, or a sequence of them"
-EXAMPLES = (
-    "export --scene ring_toss --frames 90 --out toss.ply",
-    "export --scene ring_toss --every 2 --out toss/ --format spz",
-    "export --scene sandbox --body cat.ply --frames 60 --only 0 --out cat.vtu",
-    "export --replay play.h5 --every 4 --out play/",
-)
-KINDS = ("ply", "compressed.ply", "spz", "splat", "vtu", "obj")
-CONDITIONS = (
-    STATE_CONDITION,
-    Condition(("--format",), lambda args: is_folder(args.out), "is for a folder: a file's name says its kind"),
-    Condition(("--every",), lambda args: is_folder(args.out), "is for a sequence: --out must be a folder"),
-    Condition(("--no-shadows",), lambda args: kind_of(args) not in ("vtu", "obj"), "is for splats, not for cages"),
-    PREPARATION,
-)
 
+@dataclass(kw_only=True)
+class ExportOptions(SceneOptions):
+    """Options of `export`."""
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_scene_arguments(parser)
-    parser.add_argument("--replay", type=Path, metavar="FILE.h5", help="recorded input instead of the scripted play")
-    text = f"file of the last frame (.{', .'.join(KINDS)}), or folder of a sequence"
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE|DIR", help=text)
-    text = "sequence: every N-th frame, of 60 a second (default 2)"
-    parser.add_argument("--every", type=positive(int), metavar="N", help=text)
-    parser.add_argument("--format", choices=KINDS, default="ply", help="sequence: kind of its files (default ply)")
-    parser.add_argument("--only", metavar="BODY", help="one body, by its number or the name of its asset")
-    parser.add_argument("--no-shadows", action="store_true", help="splats: colours as in full light")
-    unused = {
-        "xr": False,
-        "headless": True,
-        "stereo": False,
-        "sort": "z",
-        "size": (16, 16),
-        "render_scale": 1.0,
-        "sound": "off",
-    }
-    unused |= dict.fromkeys(
-        ("record", "snapshot", "stats", "record_input", "study", "participant", "save_state", "web", "host")
+    EXAMPLES = (
+        "export --scene ring_toss --frames 90 --out toss.ply",
+        "export --scene ring_toss --every 2 --out toss/ --format spz",
+        "export --scene sandbox --body cat.ply --frames 60 --only 0 --out cat.vtu",
+        "export --replay play.h5 --every 4 --out play/",
     )
-    parser.set_defaults(**unused)
-    add_scene_options(parser)
+    CONDITIONS = (
+        STATE,
+        Condition(("--format",), lambda o: is_folder(o.out), "is for a folder: a file's name says its kind"),
+        Condition(("--every",), lambda o: is_folder(o.out), "is for a sequence: --out must be a folder"),
+        Condition(("--no-shadows",), lambda o: kind_of(o) not in ("vtu", "obj"), "is for splats, not for cages"),
+        PREPARATION,
+    )
+
+    out: Path = option(
+        "FILE|DIR",
+        "file of the last frame (.ply, .compressed.ply, .spz, .splat, .vtu, .obj), or folder of a sequence",
+        required=True,
+    )
+    every: Count | None = option("N", "sequence: every N-th frame, of 60 a second (default 2)")
+    format: Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"] = option(
+        None, "sequence: kind of its files (default ply)", "ply"
+    )
+    only: str | None = option("BODY", "one body, by its number or the name of its asset")
+    no_shadows: bool = switch("splats: colours as in full light")
 
 
-def kind_of(args: argparse.Namespace) -> str:
+def kind_of(options: ExportOptions) -> str:
     """The kind of file that is asked for."""
-    return args.format if is_folder(args.out) else args.out.suffix.lower().lstrip(".")
+    return options.format if is_folder(options.out) else options.out.suffix.lower().lstrip(".")
 
 
 def is_folder(path: Path) -> bool:
@@ -66,41 +54,42 @@ def is_folder(path: Path) -> bool:
     return path.is_dir() or not path.suffix
 
 
-def run(args: argparse.Namespace) -> None:
-    """Play `args.scene` and write `args.out`. Raises BadInput."""
+def export(options: ExportOptions) -> None:
+    """Play the scene and write what --out names. Raises BadInput."""
     from display.keep.scene_export import export_suffix, exporter
 
-    sequence, start, files = is_folder(args.out), time.perf_counter(), []
-    check_out(args, sequence)
+    sequence, start, files = is_folder(options.out), time.perf_counter(), []
+    check_out(options, sequence)
     if not sequence:
-        export_suffix(args.out)
-    every = args.every or 2
-    with open_session(args) as session:
+        export_suffix(options.out)
+    every = options.every or 2
+    played = PlayOptions(**options.values_of(SceneOptions), headless=True, size=(16, 16), sort="z", sound="off")
+    with open_session(played) as session:
         world, body = session.world, None
         for index, frame in enumerate(session.frames()):
             world.step(frame)
-            body = find_body(world, args.only) if index == 0 else body
+            body = find_body(world, options.only) if index == 0 else body
             if sequence and index % every == 0:
-                files.append(args.out / f"frame_{index:05d}.{args.format}")
-                exporter(world, files[-1], body=body, shadows=not args.no_shadows)()
+                files.append(options.out / f"frame_{index:05d}.{options.format}")
+                exporter(world, files[-1], body=body, shadows=not options.no_shadows)()
         if not sequence:
-            files.append(args.out)
-            exporter(world, args.out, body=body, shadows=not args.no_shadows)()
+            files.append(options.out)
+            exporter(world, options.out, body=body, shadows=not options.no_shadows)()
     size, count = sum(f.stat().st_size for f in files) / 1e6, len(files)
     what = f"{count} files" if sequence else f"frame {index + 1}"
-    print(f"{args.out}: {what}, {size:.1f} MB, {time.perf_counter() - start:.1f} s")
+    print(f"{options.out}: {what}, {size:.1f} MB, {time.perf_counter() - start:.1f} s")
 
 
-def check_out(args: argparse.Namespace, sequence: bool) -> None:
+def check_out(options: ExportOptions, sequence: bool) -> None:
     """Make the folder of a sequence, or check that the file can be written. Raises BadInput."""
     if not sequence:
-        check_writable(args.out)
+        check_writable(options.out)
         return
     try:
-        args.out.mkdir(parents=True, exist_ok=True)
+        options.out.mkdir(parents=True, exist_ok=True)
     except OSError as e:
-        raise BadInput(f"{args.out}: cannot make this folder ({e.strerror})") from e
-    check_writable(args.out / f"frame_00000.{args.format}")
+        raise BadInput(f"{options.out}: cannot make this folder ({e.strerror})") from e
+    check_writable(options.out / f"frame_00000.{options.format}")
 
 
 def find_body(world, wanted: str | None) -> int | None:

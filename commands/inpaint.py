@@ -2,69 +2,78 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from assets.file_access import atomic_write, check_writable
-from commands.conditions import Condition
-from commands.options import SPLATS, add_arch, positive
+from commands.options import (
+    SPLATS,
+    Arch,
+    Condition,
+    Count,
+    OneOf,
+    Options,
+    arch_option,
+    argument,
+    option,
+    reduce_option,
+    switch,
+)
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-HELP = "remove an object from a splat, and fill the hole that it leaves"
-EXAMPLES = (
-    "inpaint room.ply --remove bear --capture room/ --out empty.ply",
-    "inpaint room.ply --remove 1 2 --out empty.ply             without photographs",
-    "inpaint background.ply --objects bear.ply --out empty.ply --report empty.json",
-    "inpaint room.ply --remove bear --capture room/ --lama lama.onnx --out empty.ply",
-)
-CONDITIONS = (
-    Condition(("--truth",), lambda args: args.capture and args.report, "belongs to --capture and --report"),
-    Condition(("--reduce",), lambda args: args.capture and args.truth, "belongs to --truth"),
-)
 FIGURES = 4  # views in the report
+WHICH = OneOf(required=True)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    text = f"{SPLATS} or .h5; for --remove a .ply or .h5 that knows its objects"
-    parser.add_argument("scene", type=Path, metavar="SCENE", help=text)
-    which = parser.add_mutually_exclusive_group(required=True)
-    text = "names or ids of the objects to remove from SCENE"
-    which.add_argument("--remove", nargs="+", metavar="OBJECT", help=text)
-    text = "splats of objects that SCENE no longer contains, as `train --split` writes them"
-    which.add_argument("--objects", nargs="+", type=Path, metavar="FILE", help=text)
-    parser.add_argument("--out", type=Path, required=True, metavar="OUT", help="OUT.ply, .spz, .splat, .compressed.ply")
-    text = (
-        "the capture that SCENE was trained on: what no photograph shows is filled; default: what is empty under OBJECT"
+@dataclass(kw_only=True)
+class InpaintOptions(Options):
+    """Options of `inpaint`."""
+
+    EXAMPLES = (
+        "inpaint room.ply --remove bear --capture room/ --out empty.ply",
+        "inpaint room.ply --remove 1 2 --out empty.ply             without photographs",
+        "inpaint background.ply --objects bear.ply --out empty.ply --report empty.json",
+        "inpaint room.ply --remove bear --capture room/ --lama lama.onnx --out empty.ply",
     )
-    parser.add_argument("--capture", type=Path, metavar="CAPTURE", help=text)
-    text = (
-        "LaMa network with inputs image (1, 3, 512, 512) and mask (1, 1, 512, 512) in 0..1 (default: patch synthesis)"
+    CONDITIONS = (
+        Condition(("--truth",), lambda o: o.capture and o.report, "belongs to --capture and --report"),
+        Condition(("--reduce",), lambda o: o.capture and o.truth, "belongs to --truth"),
     )
-    parser.add_argument("--lama", type=Path, metavar="FILE.onnx", help=text)
-    text = "leave the object's shadow; default: its surroundings get back the light that it took"
-    parser.add_argument("--keep-shadow", action="store_true", help=text)
-    parser.add_argument(
-        "--steps", type=positive(int), metavar="N", help="training steps of the new Gaussians (default 200)"
+
+    scene: Path = argument("SCENE", f"{SPLATS} or .h5; for --remove a .ply or .h5 that knows its objects")
+    remove: list[str] | None = option("OBJECT", "names or ids of the objects to remove from SCENE", one_of=WHICH)
+    objects: list[Path] | None = option(
+        "FILE", "splats of objects that SCENE no longer contains, as `train --split` writes them", one_of=WHICH
     )
-    text = "write the results as JSON, and a page and a picture (before, after) beside it"
-    parser.add_argument("--report", type=Path, metavar="R.json", help=text)
-    text = "photographs without the object, named as in the capture, for the PSNR in the report"
-    parser.add_argument("--truth", type=Path, metavar="FOLDER", help=text)
-    parser.add_argument(
-        "--reduce", type=positive(int), default=1, metavar="N", help="divide width and height of the truth by N"
+    out: Path = option("OUT", "OUT.ply, .spz, .splat, .compressed.ply", required=True)
+    capture: Path | None = option(
+        "CAPTURE",
+        "the capture that SCENE was trained on: what no photograph shows is filled; "
+        "default: what is empty under OBJECT",
     )
-    add_arch(parser)
+    lama: Path | None = option(
+        "FILE.onnx",
+        "LaMa network with inputs image (1, 3, 512, 512) and mask (1, 1, 512, 512) in 0..1 (default: patch synthesis)",
+    )
+    keep_shadow: bool = switch("leave the object's shadow; default: its surroundings get back the light that it took")
+    steps: Count | None = option("N", "training steps of the new Gaussians (default 200)")
+    report: Path | None = option(
+        "R.json", "write the results as JSON, and a page and a picture (before, after) beside it"
+    )
+    truth: Path | None = option(
+        "FOLDER", "photographs without the object, named as in the capture, for the PSNR in the report"
+    )
+    reduce: Count = reduce_option("the truth")
+    arch: Arch | None = arch_option()
 
 
-def run(args: argparse.Namespace) -> None:
+def inpaint(options: InpaintOptions) -> None:
     """Remove, inpaint and write. Raises BadInput."""
     from assets.gaussians import concatenate
     from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
@@ -82,73 +91,75 @@ def run(args: argparse.Namespace) -> None:
     from prepare.onnx_network import LamaNetwork
     from prepare.progress import progress_on
 
-    kind_to_write(args.out)
-    for file in filter(None, (args.out, args.report)):
+    kind_to_write(options.out)
+    for file in filter(None, (options.out, options.report)):
         check_writable(file)
-    painter = LamaNetwork(args.lama) if args.lama else paint_from_patches
-    cameras, truths = _cameras(args)
-    background, objects = _parts(args, read_gaussians)
-    start_taichi(args.arch)
+    painter = LamaNetwork(options.lama) if options.lama else paint_from_patches
+    cameras, truths = _cameras(options)
+    background, objects = _parts(options, read_gaussians)
+    start_taichi(options.arch)
     begin, reports = time.perf_counter(), []
-    options = {"antialias": False, "sort": order_of(background)}
+    drawn = {"antialias": False, "sort": order_of(background)}
     for k, (name, removed) in enumerate(objects.items()):
         others = [g for other, g in objects.items() if other != name]
         standing = list(objects.values())[k + 1 :]  # the shadows of those before went with them
         progress = progress_on(sys.stderr, STAGES)
-        told = options | {"progress": progress}
+        told = drawn | {"progress": progress}
         try:
             more = concatenate(others) if others else None
             background, removed = without_support(background, removed, cameras, others=more, progress=progress)
             hole = find_hole(background, removed, cameras, name=name, others=more, **told)
-            if not args.keep_shadow:
+            if not options.keep_shadow:
                 hole = take_shadow(hole, concatenate(standing) if standing else None, **told)
             textures = paint_hole(hole, painter, progress)
-            after = close_hole(hole, textures, steps=args.steps or STEPS, **told)
+            after = close_hole(hole, textures, steps=options.steps or STEPS, **told)
         finally:
             progress.close()
         patch = len(after) - len(hole.background)
         line = f"{name}: {len(removed)} Gaussians removed"
         line += f", {patch} added over {hole.area:.3g} m^2 that no camera saw" if patch else "; no hole was left"
         print(line)
-        if args.report:
-            reports.append(_measured(name, removed, hole, textures, background, after, truths, options))
+        if options.report:
+            reports.append(_measured(name, removed, hole, textures, background, after, truths, drawn))
         background = after
-    write_gaussians(args.out, background)
+    write_gaussians(options.out, background)
     seconds = time.perf_counter() - begin
-    print(f"{args.out}: {len(background)} Gaussians, {seconds:.0f} s")
-    if args.report:
-        _report(args.report, reports, {"gaussians": len(background), "seconds": seconds, "scene": str(args.scene)})
+    print(f"{options.out}: {len(background)} Gaussians, {seconds:.0f} s")
+    if options.report:
+        _report(
+            options.report, reports, {"gaussians": len(background), "seconds": seconds, "scene": str(options.scene)}
+        )
 
 
-def _cameras(args: argparse.Namespace) -> tuple[list | None, list]:
+def _cameras(options: InpaintOptions) -> tuple[list | None, list]:
     """Cameras of the capture, None without one, and the photographs of the truth, none without it. Raises BadInput."""
     from prepare.train.capture_files import read_capture
     from prepare.train.photographs import load_photograph
 
-    if args.capture is None:
+    if options.capture is None:
         return None, []
-    capture = read_capture(args.capture).upright()  # as `train` turns it
+    capture = read_capture(options.capture).upright()  # as `train` turns it
     truths = []
-    if args.truth:
-        if not args.truth.is_dir():
-            raise BadInput(f"{args.truth}: no such folder")
+    if options.truth:
+        if not options.truth.is_dir():
+            raise BadInput(f"{options.truth}: no such folder")
         for view in capture.views:
-            image = next((p for p in sorted(args.truth.glob(f"{view.image.stem}.*")) if p.is_file()), None)
+            image = next((p for p in sorted(options.truth.glob(f"{view.image.stem}.*")) if p.is_file()), None)
             if image is None:
-                raise BadInput(f"{args.truth}: holds no picture {view.image.stem}")
-            truths.append(load_photograph(replace(view, image=image, mask=None), args.reduce))
+                raise BadInput(f"{options.truth}: holds no picture {view.image.stem}")
+            truths.append(load_photograph(replace(view, image=image, mask=None), options.reduce))
     return [t.camera for t in truths] or [v.camera() for v in capture.views], truths
 
 
-def _parts(args: argparse.Namespace, read) -> tuple:
+def _parts(options: InpaintOptions, read) -> tuple:
     """The background, and the objects by name. Raises BadInput."""
-    scene = read(args.scene)
-    if args.objects:
-        names = [path.stem for path in args.objects]
+    scene = read(options.scene)
+    if options.objects:
+        names = [path.stem for path in options.objects]
         if len(set(names)) < len(names):
             raise BadInput(f"--objects: two files are named {max(names, key=names.count)}")
-        return scene, {name: read(path) for name, path in zip(names, args.objects, strict=True)}
-    ids = {name: object_number(scene, name, args.scene) for name in args.remove}
+        return scene, {name: read(path) for name, path in zip(names, options.objects, strict=True)}
+    ids = {name: object_number(scene, name, options.scene) for name in options.remove}
     return scene.select(~np.isin(scene.object_id, list(ids.values()))), {
         name: scene.select(scene.object_id == number) for name, number in ids.items()
     }

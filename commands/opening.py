@@ -1,34 +1,44 @@
-"""Opening in a play: a scene, another room, a body. Files are prepared first, while the play goes on."""
+"""Opening in a play: a scene, another room, a body. Their files are prepared first by a process, while the play goes
+on; it can be cancelled at any moment, and its finished steps are kept for another time."""
 
 from __future__ import annotations
 
-import argparse
-import copy
+import contextlib
+import signal
+import sys
+from dataclasses import replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING
 
-from commands.background import BackgroundPreparation
-from commands.prepared import is_asset, is_prepared, prepared_body
+from commands.options import Preparation
+from commands.prepared import cached_body, cached_environment, is_asset, is_prepared, prepared_body
 from core.errors import BadInput
+from core.runtime import is_out_of_memory
 from display.user_commands import AddBody, Command, OpenScene, SwapRoom
 
-PREPARATION = {"up": None, "front": None, "scale": None, "vertices": None, "cells": "adaptive", "pieces": False}
+if TYPE_CHECKING:
+    from commands.play import PlayOptions
+
+ENDING_PATIENCE = 5.0  # [s] for a process that is asked to end
 
 
 class Opening:
     """A request under way: its files are prepared one after the other. `poll` until it is ready, or `close` it.
 
-    `args` are the command's options with which the request is carried out. Raises BadInput for a file that there is
-    not.
+    `options`: those of the play with the request carried out. Raises BadInput for a missing file.
     """
 
-    def __init__(self, request: Command, args: argparse.Namespace):
-        self.request, self.args = request, opened_args(request, args)
-        files = [(Path(name), False) for name in self.args.body or () if not is_asset(name)]
+    def __init__(self, request: Command, options: PlayOptions):
+        self.request, self.options = request, opened_options(request, options)
+        files = [(Path(name), False) for name in self.options.body or () if not is_asset(name)]
         if isinstance(request, AddBody) and not is_asset(request.path):
             files = [(Path(request.path), False)]
-        elif self.args.stage is not None and not is_asset(self.args.stage):
-            files.append((Path(self.args.stage), True))
-        self._waiting = [(path, room) for path, room in files if not is_prepared(path, self.args, room=room)]
+        elif self.options.stage is not None and not is_asset(self.options.stage):
+            files.append((Path(self.options.stage), True))
+        self._waiting = [(path, room) for path, room in files if not is_prepared(path, self.options, room=room)]
         self._now: BackgroundPreparation | None = None
 
     @property
@@ -48,7 +58,7 @@ class Opening:
     def body(self) -> str:
         """The asset of the body that is to be added."""
         path = self.request.path
-        return path if is_asset(path) else prepared_body(Path(path), self.args, None)[0]
+        return path if is_asset(path) else prepared_body(Path(path), self.options)[0]
 
     def close(self) -> None:
         """Give it up. Further calls do nothing."""
@@ -56,19 +66,19 @@ class Opening:
             self._now.close()
 
 
-def opened_args(request: Command, args: argparse.Namespace) -> argparse.Namespace:
-    """The command's options as if the request stood on the command line. Raises BadInput."""
-    args = copy.copy(args)
+def opened_options(request: Command, options: PlayOptions) -> PlayOptions:
+    """The play's options as if the request stood on the command line. Raises BadInput."""
+    usual = Preparation().values_of(Preparation) | {"given": options.given}
     match request:
         case SwapRoom(path):
-            args.stage = path
+            return replace(options, stage=path)
         case AddBody():
-            vars(args).update(PREPARATION)
-        case OpenScene(name, options, bodies, stage):
-            check_name(name, args.scene)
-            vars(args).update(PREPARATION, scene=name, options=dict(options), material=None)
-            args.body, args.stage = list(bodies) or None, stage
-    return args
+            return replace(options, **usual)
+        case OpenScene(name, chosen, bodies, stage):
+            check_name(name, options.scene)
+            files = {"body": list(bodies) or None, "stage": stage, "material": None}
+            return replace(options, scene=name, options=dict(chosen), **files, **usual)
+    return replace(options)
 
 
 def check_name(name: str, playing: str) -> None:
@@ -77,3 +87,79 @@ def check_name(name: str, playing: str) -> None:
 
     if name != playing and name not in registry.names():
         raise BadInput(f"no scene named {name!r}; there are: {', '.join(registry.names())}")
+
+
+class BackgroundPreparation:
+    """A process that prepares a file into the cache, as a body or as a `room`. `poll` it until it is done."""
+
+    def __init__(self, path: Path, *, room: bool):
+        self.path, self._begin = path, monotonic()
+        self._step, self._problem, self._done = "", "", False
+        context = get_context("spawn")  # Taichi, which this process runs, survives no fork
+        self._reports, reports = context.Pipe(duplex=False)
+        work = (path.absolute(), room, playing_arch(), reports)
+        self._process = context.Process(target=prepare_into_cache, args=work, daemon=True)
+        self._process.start()
+        reports.close()  # else its end would not be seen here
+
+    @property
+    def text(self) -> str:
+        """Progress, one line."""
+        return f"Preparing {self.path.name}: {self._step}{monotonic() - self._begin:.0f} s"
+
+    def poll(self) -> bool:
+        """True once the file is prepared. Raises BadInput if it cannot be."""
+        alive = self._process.is_alive()
+        with contextlib.suppress(EOFError, OSError):
+            while self._reports.poll():
+                kind, *said = self._reports.recv()
+                match kind:
+                    case "step":
+                        self._step = f"{said[0]} {said[1]:.0%}, "
+                    case "problem":
+                        self._problem = said[0]
+                    case "done":
+                        self._done = True
+        if alive:
+            return False
+        if not self._done:
+            raise BadInput(self._problem or f"{self.path}: the preparation ended abnormally")
+        return True
+
+    def close(self) -> None:
+        """End the process if it runs. Further calls do nothing."""
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(ENDING_PATIENCE)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join()
+
+
+def playing_arch() -> str:
+    """The device that the play uses."""
+    import taichi as ti
+
+    return "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+
+
+def prepare_into_cache(path: Path, room: bool, arch: str, reports: Connection) -> None:
+    """Prepare a file, in its own process; `reports` takes ("step", name, fraction), ("problem", text), ("done",)."""
+    sys.stdout = None  # the summary is for a command
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the play ends this process
+
+    def progress(step: str, done: float) -> None:
+        reports.send(("step", step, done))
+
+    try:
+        if room:
+            cached_environment(path, arch, progress=progress)
+        else:
+            cached_body(path, Preparation(), arch, progress=progress)
+        reports.send(("done",))
+    except BadInput as e:
+        reports.send(("problem", " ".join(str(e).split())))
+    except (MemoryError, RuntimeError) as e:
+        if not is_out_of_memory(e):
+            raise
+        reports.send(("problem", f"{path}: there is not enough memory to prepare it"))

@@ -1,20 +1,175 @@
-"""Options that several commands share, and the types of options: each takes a text and raises ArgumentTypeError."""
+"""Typed options of the commands: one dataclass for each, from which its parser, its help and its checks follow.
+
+    @dataclass(kw_only=True)
+    class FilmOptions(Options):
+        splats: Path = argument("SPLATS", "file to draw")
+        out: Path = option("OUT.mp4", "film to write", required=True)
+        frames: Count | None = option("N", "number of pictures (default 180)")
+        antialias: bool = switch("anti-aliased rendering")
+
+A field's name is its flag, its annotation the type: `Literal` gives choices, `list[...]` takes several values, and
+`Annotated[..., function]` names the function that turns a text into the value. Fields with a plain default are set by
+the program alone.
+"""
 
 from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Callable
+from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 from assets.file_access import PICTURES
-from render import SORTS
-from scenes.registry import SceneOption
+from core.errors import BadInput
 
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json, a mesh (.obj, .glb, .stl, .ply with faces)"
 BACKGROUND_NAMES = {"grey": (0.12, 0.13, 0.14), "black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
-AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A condition under which options act; one that would be ignored beside the others is refused.
+
+    flags  of the options: "--size"
+    holds  whether they act, by the command's options
+    words  what is said of one that does not: "belongs to --turntable"
+    """
+
+    flags: tuple[str, ...]
+    holds: Callable[[Any], object]
+    words: str
+
+
+@dataclass(kw_only=True)
+class Options:
+    """Options of a command. `given`: the flags that the command line names, in full."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = ()
+    CONDITIONS: ClassVar[tuple[Condition, ...]] = ()
+
+    given: tuple[str, ...] = ()
+
+    def values_of(self, kind: type[Options]) -> dict[str, Any]:
+        """Values of the fields of a base class."""
+        return {f.name: getattr(self, f.name) for f in fields(kind)}
+
+    def check(self) -> None:
+        """Raise BadInput for a given option that does not act."""
+        for condition in self.CONDITIONS:
+            for flag in self.given:
+                if flag in condition.flags and not condition.holds(self):
+                    raise BadInput(f"{flag} {condition.words}")
+
+
+class OneOf:
+    """Options of which one at most is given, or exactly one where it is `required`."""
+
+    def __init__(self, *, required: bool = False):
+        self.required = required
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """How an option is written on the command line, and what its help says.
+
+    flag    where it is not the field's name
+    bare    value of the option without a value, where it may have none
+    repeat  it may be given several times, each with a value of a list
+    """
+
+    metavar: str | tuple[str, ...] | None
+    help: str
+    positional: bool = False
+    flag: str | None = None
+    required: bool = False
+    one_of: OneOf | None = None
+    bare: int | str | None = None
+    repeat: bool = False
+
+
+def argument(metavar: str | None, help: str, *, optional: bool = False) -> Any:
+    """A value that is written without a flag; an optional one is a list, which may be empty."""
+    about = {"declaration": Declaration(metavar, help, positional=True)}
+    return field(default_factory=list, metadata=about) if optional else field(metadata=about)
+
+
+def option(
+    metavar: str | tuple[str, ...] | None,
+    help: str,
+    default: Any = None,
+    *,
+    flag: str | None = None,
+    required: bool = False,
+    one_of: OneOf | None = None,
+    bare: int | str | None = None,
+    repeat: bool = False,
+) -> Any:
+    """An option with a value; without a metavar its help names the choices."""
+    said = Declaration(metavar, help, flag=flag, required=required, one_of=one_of, bare=bare, repeat=repeat)
+    about = {"declaration": said}
+    if required:
+        return field(metadata=about)
+    if isinstance(default, list):
+        return field(default_factory=default.copy, metadata=about)
+    return field(default=default, metadata=about)
+
+
+def switch(help: str, *, one_of: OneOf | None = None) -> Any:
+    """An option without a value: False unless it is given."""
+    return field(default=False, metadata={"declaration": Declaration(None, help, one_of=one_of)})
+
+
+def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
+    """Add the options of a dataclass to a parser; those that are not given keep the dataclass's defaults."""
+    hints, groups = get_type_hints(kind, include_extras=True), {}
+    order = [name for part in kind.__mro__ for name in vars(part).get("__annotations__", ())]
+    for f in sorted(fields(kind), key=lambda f: order.index(f.name)):  # a command's own before those that it shares
+        said: Declaration | None = f.metadata.get("declaration")
+        if said is None:
+            continue
+        taker = parser
+        if said.one_of is not None:
+            if said.one_of not in groups:
+                groups[said.one_of] = parser.add_mutually_exclusive_group(required=said.one_of.required)
+            taker = groups[said.one_of]
+        form = {"help": said.help, "default": argparse.SUPPRESS, **value_form(hints[f.name], said, f)}
+        if said.positional:
+            taker.add_argument(f.name, **form)
+        else:
+            flag = said.flag or f"--{f.name.replace('_', '-')}"
+            taker.add_argument(flag, dest=f.name, required=said.required, **form)
+
+
+def value_form(hint: Any, said: Declaration, f: Field) -> dict[str, Any]:
+    """Arguments of `add_argument` that say which values a field of a type takes."""
+    if hint is bool:
+        return {"action": "store_true"}
+    form: dict[str, Any] = {"metavar": said.metavar}
+    if get_origin(hint) in (Union, UnionType):
+        (hint,) = (part for part in get_args(hint) if part is not NoneType)
+    if get_origin(hint) is list:
+        (hint,) = get_args(hint)
+        if said.repeat:
+            form["action"] = "append"
+        else:
+            form["nargs"] = "*" if said.positional and f.default_factory is not MISSING else "+"
+    elif get_origin(hint) is tuple:
+        form["nargs"], hint = len(get_args(hint)), get_args(hint)[0]
+    if said.bare is not None:
+        form |= {"nargs": "?", "const": said.bare}
+    if get_origin(hint) is Annotated:
+        form["type"] = get_args(hint)[1]
+    elif get_origin(hint) is Literal:
+        form["choices"], form["type"] = get_args(hint), type(get_args(hint)[0])
+    else:
+        form["type"] = hint
+    return form
+
+
+# types: each function turns a text into a value, or raises ArgumentTypeError
 
 
 def size(text: str) -> tuple[int, int]:
@@ -26,14 +181,14 @@ def size(text: str) -> tuple[int, int]:
 
 
 def port(text: str) -> int:
-    """Number of a TCP port; 0: any that suits."""
+    """Number of a TCP port; 0: any that is free."""
     if not (text.isdecimal() and int(text) <= 65535):
         raise argparse.ArgumentTypeError(f"{text!r} is not a port, 0 to 65535")
     return int(text)
 
 
 def positive(kind: type) -> Callable[[str], float]:
-    """The type of numbers of a kind, int or float, above zero."""
+    """The function for numbers of a kind, int or float, above zero."""
 
     def parse(text: str):
         try:
@@ -47,12 +202,19 @@ def positive(kind: type) -> Callable[[str], float]:
     return parse
 
 
-def render_scale(text: str) -> float:
-    """A factor of a picture's width and height."""
-    value = positive(float)(text)
-    if not 0.1 <= value <= 2.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not between 0.1 and 2")
-    return value
+def within(low: float, high: float, what: str) -> Callable[[str], float]:
+    """The function for numbers from `low` to `high`; `what` says this in a message."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        return value
+
+    return parse
 
 
 def colour(text: str) -> tuple[float, float, float]:
@@ -64,28 +226,6 @@ def colour(text: str) -> tuple[float, float, float]:
     return tuple(int(text[k : k + 2], 16) / 255 for k in (1, 3, 5))
 
 
-def elevation(text: str) -> float:
-    """An angle above the horizon [degrees]."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 90.0
-    if not -89.0 <= value <= 89.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -89 and 89 degrees")
-    return value
-
-
-def degrees(text: str) -> float:
-    """An angle of at most one turn [degrees]."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not -360.0 <= value <= 360.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -360 and 360 degrees")
-    return value
-
-
 def picture_name(text: str) -> Path:
     """The name of a picture's file."""
     if Path(text).suffix.lower() not in PICTURES:
@@ -93,65 +233,56 @@ def picture_name(text: str) -> Path:
     return Path(text)
 
 
-def add_arch(parser: argparse.ArgumentParser) -> None:
-    """Add --arch."""
-    text = "where kernels run; unset: CUDA if there is one, else the CPU"
-    parser.add_argument("--arch", choices=("cuda", "cpu"), help=text)
+Arch = Literal["cuda", "cpu"]
+Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+Sort = Literal["z", "radial", "pixel"]  # render.SORTS; a test compares them
+Count = Annotated[int, positive(int)]
+Amount = Annotated[float, positive(float)]
+Size = Annotated[tuple[int, int], size]
+Port = Annotated[int, port]
+Colour = Annotated[tuple[float, float, float], colour]
+PictureName = Annotated[Path, picture_name]
+Elevation = Annotated[float, within(-89.0, 89.0, "an angle between -89 and 89 degrees")]
+Turn = Annotated[float, within(-360.0, 360.0, "an angle between -360 and 360 degrees")]
+RenderScale = Annotated[float, within(0.1, 2.0, "between 0.1 and 2")]
+
+# fields that several commands share
 
 
-def add_sort(parser: argparse.ArgumentParser, mode: str) -> None:
-    """Add --sort; `mode`: the default for splats that do not know theirs."""
+def arch_option() -> Any:
+    """--arch."""
+    return option(None, "where kernels run; unset: CUDA if there is one, else the CPU")
+
+
+def seed_option() -> Any:
+    """--seed."""
+    return option("S", "seed of all random numbers (default 0)", 0)
+
+
+def sort_option(mode: str) -> Any:
+    """--sort; `mode`: the default for splats that do not know theirs."""
     text = "order of Gaussians: by depth, by distance, or by distance along each pixel's ray (default: what they were"
-    parser.add_argument("--sort", choices=SORTS, help=f"{text} trained for, z for files from elsewhere; else {mode})")
+    return option(None, f"{text} trained for, z for files from elsewhere; else {mode})")
 
 
-def add_preparation(parser: argparse.ArgumentParser, prefix: str = "") -> None:
-    """Add the options of making a body of a splat; `prefix` opens their help where they belong to another option."""
-    parser.add_argument("--up", choices=AXES, help=f"{prefix}the file's up axis (default: guessed)")
-    text = f"{prefix}largest extent in metres (default: guessed)"
-    parser.add_argument("--scale", type=positive(float), metavar="M", help=text)
-    text = f"{prefix}turn about the vertical that brings the front to the player (default: guessed; 0: as in the file)"
-    parser.add_argument("--front", type=degrees, metavar="DEG", help=text)
-    text = f"{prefix}cage vertices (default: as suits the device, 500 on a CPU, 2000 on a GPU)"
-    parser.add_argument("--vertices", type=positive(int), metavar="N", help=text)
-    text = f"{prefix}cells of the cage: smaller where the body is thin or curved, or all alike (default adaptive)"
-    parser.add_argument("--cells", choices=("adaptive", "uniform"), help=text, default="adaptive")
-    text = f"{prefix}separate pieces each get a cage and become bodies of their own (default: the largest alone)"
-    parser.add_argument("--pieces", action="store_true", help=text)
+def reduce_option(what: str) -> Any:
+    """--reduce."""
+    return option("N", f"divide width and height of {what} by N", 1)
 
 
-def add_scene_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of all scenes, each once; their values become `options`, a dict by the parameter's name."""
-    from scenes import registry
+@dataclass(kw_only=True)
+class Preparation(Options):
+    """How a body is made of a splat file."""
 
-    parser.set_defaults(options=None)
-    takers: dict[str, list[tuple[str, SceneOption]]] = {}
-    for demo in registry.demos():
-        for option in demo.options:
-            takers.setdefault(option.name, []).append((demo.name, option))
-    group = parser.add_argument_group("options of scenes")
-    for name, uses in takers.items():
-        says = "; ".join(f"{scene}: {option.choice_text}" for scene, option in uses)
-        try:
-            group.add_argument(uses[0][1].flag, dest=name, action=SetSceneOption, metavar="X", help=says)
-        except argparse.ArgumentError:
-            scenes = ", ".join(scene for scene, _ in uses)
-            print(f"vrgs: {scenes}: {uses[0][1].flag} means something else already: rename it", file=sys.stderr)
-
-
-def add_scene_file_options(parser: argparse.ArgumentParser, scene_file: str) -> None:
-    """Add the options of a scene file, which is run; one that other scenes have as well is there already."""
-    from scenes import registry
-
-    found = registry.demo(scene_file)
-    for option in () if found is None else found.options:
-        if option.flag not in parser._option_string_actions:
-            kept = {"dest": option.name, "action": SetSceneOption, "metavar": "X", "help": option.choice_text}
-            parser.add_argument(option.flag, **kept)
-
-
-class SetSceneOption(argparse.Action):
-    """Keep the text of a scene's option in the dict `options`."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        namespace.options = {**(namespace.options or {}), self.dest: values}
+    up: Axis | None = option(None, "up axis of the splat file (default: guessed)")
+    scale: Amount | None = option("M", "largest extent of the splat in metres (default: guessed)")
+    front: Turn | None = option(
+        "DEG", "turn of the splat about the vertical that brings its front to the player (default: guessed; 0: none)"
+    )
+    vertices: Annotated[int | list[int] | None, positive(int)] = option(
+        "N", "vertices of a splat's cage (default: as suits the device, 500 on a CPU, 2000 on a GPU)"
+    )
+    cells: Literal["adaptive", "uniform"] = option(
+        None, "cells of the cage: smaller where the body is thin or curved, or all alike (default adaptive)", "adaptive"
+    )
+    pieces: bool = switch("separate pieces each get a cage and become bodies of their own (default: the largest alone)")

@@ -1,66 +1,64 @@
-"""The command line's parser: each command is a module of this package with HELP, EXAMPLES, add_arguments and run.
+"""From a command line to a command's function and its options.
 
-A module's CONDITIONS, if it has some, say which of its options act only beside others (commands/conditions.py).
+Options may stand before or after a command; mistakes are told in one line, with the nearest option or command.
 """
 
 from __future__ import annotations
 
 import argparse
 import difflib
+import importlib
 import itertools
+import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
 from pathlib import Path
 
-from commands import (
-    bench,
-    capture_room,
-    convert,
-    export,
-    figures,
-    inpaint,
-    materials,
-    physics_check,
-    play,
-    prepare,
-    render,
-    scenes,
-    segment,
-    study,
-    train,
-    tune,
-    view,
-)
-from commands.conditions import check_conditions
-from commands.options import add_scene_file_options
+from commands.options import Options, add_options
 from core.errors import BadInput
 from core.program import VERSION, as_called
-from scenes.registry import is_scene_file
 
-COMMANDS = {
-    "scenes": scenes,
-    "view": view,
-    "render": render,
-    "train": train,
-    "capture": capture_room,
-    "prepare": prepare,
-    "segment": segment,
-    "inpaint": inpaint,
-    "convert": convert,
-    "export": export,
-    "bench": bench,
-    "figures": figures,
-    "tune": tune,
-    "materials": materials,
-    "check": physics_check,
-    "study": study,
+SUMMARY = "VR-GS: captures as Gaussians that can be grabbed, squeezed and thrown."
+COMMANDS = {  # module and function, which takes the command's options as their dataclass; only what runs is imported
+    "scenes": ("commands.listing:list_scenes", "list the demos and their options"),
+    "view": ("commands.view:view", "look at splat files in a window"),
+    "render": ("commands.render:render", "draw a splat file, or film a turn around it"),
+    "train": ("commands.train:train", "train Gaussians on photographs or a video"),
+    "capture": (
+        "commands.capture_room:capture",
+        "turn photographs into a room to play in: its objects can be grabbed, and what they hid is filled in",
+    ),
+    "prepare": ("commands.prepare:prepare", "make a splat an elastic body, or a room playable"),
+    "segment": (
+        "commands.segment:segment",
+        "find marked objects in all photographs of a capture, or take them out of a splat",
+    ),
+    "inpaint": ("commands.inpaint:inpaint", "remove an object from a splat, and fill the hole that it leaves"),
+    "convert": ("commands.convert:convert", "convert between splat formats"),
+    "export": (
+        "commands.export:export",
+        "write a scene as it is in play: splats, cages, surfaces, or a sequence of them",
+    ),
+    "bench": ("commands.measuring:bench", "measure speed and quality"),
+    "figures": (
+        "commands.measuring:figures",
+        "make the paper's figures and tables: one page with pictures and numbers",
+    ),
+    "tune": (
+        "commands.tune:tune",
+        "drop a body with one stiffness after another: what each does, as a table and a strip of pictures",
+    ),
+    "materials": ("commands.listing:list_materials", "list the materials by name"),
+    "check": ("commands.measuring:check", "measure the physics against theory and finite elements"),
+    "study": (
+        "commands.study:study",
+        "compare recorded participants in the settings physics and transform; the questionnaire",
+    ),
 }
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that says what is wrong in one line: raises BadInput instead of printing the usage. `commands` are the
-    parsers of the commands by name."""
-
-    commands: dict[str, Parser] = {}
+    """A parser that raises BadInput with what is wrong in one line, instead of printing the usage."""
 
     def format_usage(self) -> str:
         return as_called(super().format_usage())
@@ -73,66 +71,124 @@ class Parser(argparse.ArgumentParser):
         raise BadInput(f"{message}; see {self.prog} --help")
 
 
-def parse(argv: list[str], summary: str, run_play: Callable[[argparse.Namespace], None]) -> argparse.Namespace:
-    """The arguments of a command line; `given` are the flags that it names. Raises BadInput.
+def parse(argv: Sequence[str]) -> tuple[Callable[[Options], int | None] | None, Options]:
+    """The function of the command that a command line names, None to play, and its options. Raises BadInput.
 
     Options before a command are those of the command, and must be known to it.
     """
-    parser = build_parser(summary, run_play)
-    if (scene_file := scene_file_in(argv)) is not None:
-        for taker in (parser, parser.commands["export"]):
-            add_scene_file_options(taker, scene_file)
-    at = command_position(parser, argv)
-    name = None if at is None else argv[at]
-    if name is not None:
-        argv = [name, *argv[:at], *argv[at + 1 :]]
-    where, module = (parser, play) if name is None else (parser.commands[name], COMMANDS[name])
-    given = given_flags(where, argv, name)
-    args, unknown = parser.parse_known_args(argv)
-    if "names" in args and not any(word.startswith("-") for word in unknown):
-        args.names, unknown = [*args.names, *unknown], []  # argparse takes those before the first option only
+    argv = list(argv)
+    for i in range(len(argv) - 2, -1, -1):  # argparse would take the -y of `--up -y` for an option
+        if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):
+            argv[i : i + 2] = [f"--up={argv[i + 1]}"]
+    scene_file = scene_file_in(argv)
+    at = 0 if argv and argv[0] in COMMANDS else command_position(playing_parser(scene_file), argv)
+    name = None if at is None else argv.pop(at)
+    parser = playing_parser(scene_file) if name is None else command_parser(name, scene_file)
+    given = given_flags(parser, argv, name)
+    function, kind = (None, playing_options()) if name is None else command(name)
+    several = any(action.nargs in ("+", "*") for action in parser._get_positional_actions())
+    read = parser.parse_known_intermixed_args if several else parser.parse_known_args
+    values, unknown = read(argv)
     if unknown:
-        raise BadInput(f"{' '.join(unknown)}: is one too many; see {where.prog} --help")
-    args.given = given
-    check_conditions(args, given, getattr(module, "CONDITIONS", ()))
-    return args
+        raise BadInput(f"{' '.join(unknown)}: is one too many; see {parser.prog} --help")
+    options = kind(**vars(values), given=given)
+    options.check()
+    return function, options
+
+
+def command(name: str) -> tuple[Callable, type[Options]]:
+    """The function of a command, and the dataclass of its options."""
+    place, function = COMMANDS[name][0].split(":")
+    module = importlib.import_module(place)
+    run = getattr(module, function)
+    return run, getattr(module, run.__annotations__["options"])
+
+
+def playing_options() -> type[Options]:
+    """The dataclass of the options without a command."""
+    from commands.play import PlayOptions
+
+    return PlayOptions
+
+
+def playing_parser(scene_file: str | None = None) -> Parser:
+    """The parser of what is played without a command, whose help lists the commands."""
+    kind = playing_options()
+    parser = new_parser("vrgs.py", SUMMARY, "examples:", kind.EXAMPLES)
+    parser.add_argument("--version", action="version", version=f"vrgs {VERSION}")
+    add_all_options(parser, kind, scene_file)
+    listed = parser.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
+    for name, (_, help) in COMMANDS.items():
+        listed.add_parser(name, help=help, add_help=False)
+    return parser
+
+
+def command_parser(name: str, scene_file: str | None = None) -> Parser:
+    """The parser of a command."""
+    kind = command(name)[1]
+    parser = new_parser(f"vrgs.py {name}", COMMANDS[name][1], "example:", kind.EXAMPLES)
+    add_all_options(parser, kind, scene_file)
+    return parser
+
+
+def new_parser(program: str, summary: str, title: str, examples: Iterable[str]) -> Parser:
+    """A parser without options; `examples`: what follows `vrgs.py`."""
+    lines = "".join(f"\n  python vrgs.py {example}".rstrip() for example in examples)
+    formatter = argparse.RawDescriptionHelpFormatter
+    return Parser(prog=as_called(program), description=summary, epilog=title + lines, formatter_class=formatter)
+
+
+def add_all_options(parser: Parser, kind: type[Options], scene_file: str | None) -> None:
+    """Add the options of a dataclass, and where it has a field `options`, those of scenes."""
+    add_options(parser, kind)
+    if any(field.name == "options" for field in fields(kind)):
+        add_scene_options(parser, scene_file)
+
+
+def add_scene_options(parser: Parser, scene_file: str | None) -> None:
+    """Add the options of all scenes and of a scene file, which is run; their values become the dict `options`."""
+    from scenes import registry
+
+    takers: dict[str, list[tuple[str, registry.SceneOption]]] = {}
+    for demo in registry.demos():
+        for option in demo.options:
+            takers.setdefault(option.name, []).append((demo.name, option))
+    group = parser.add_argument_group("options of scenes")
+    for name, uses in takers.items():
+        says = "; ".join(f"{scene}: {option.choice_text}" for scene, option in uses)
+        try:
+            group.add_argument(uses[0][1].flag, dest=name, action=SetSceneOption, metavar="X", help=says)
+        except argparse.ArgumentError:
+            scenes = ", ".join(scene for scene, _ in uses)
+            print(f"vrgs: {scenes}: {uses[0][1].flag} means something else already: rename it", file=sys.stderr)
+    own = None if scene_file is None else registry.demo(scene_file)
+    for option in () if own is None else own.options:
+        if option.flag not in parser._option_string_actions:  # else other scenes have it as well
+            says = option.choice_text
+            parser.add_argument(option.flag, dest=option.name, action=SetSceneOption, metavar="X", help=says)
+
+
+class SetSceneOption(argparse.Action):
+    """Keep the text of a scene's option in the dict `options`."""
+
+    def __init__(self, option_strings, dest, **form):
+        super().__init__(option_strings, dest, default=argparse.SUPPRESS, **form)
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        namespace.options = {**getattr(namespace, "options", {}), self.dest: values}
 
 
 def scene_file_in(argv: Sequence[str]) -> str | None:
     """The scene file that a command line names, whose options it may set; None if there is none."""
     pairs = itertools.zip_longest(argv, argv[1:], fillvalue="")
     values = (word.partition("=")[2] or after for word, after in pairs if word.partition("=")[0] == "--scene")
-    return next(filter(is_scene_file, values), None)
-
-
-def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -> Parser:
-    """The parser of all commands; `run_play` runs without one."""
-    formatter = argparse.RawDescriptionHelpFormatter
-    parser = Parser(prog=as_called("vrgs.py"), description=summary, epilog=play.EXAMPLES, formatter_class=formatter)
-    parser.add_argument("--version", action="version", version=f"vrgs {VERSION}")
-    parser.set_defaults(run=run_play)
-    play.add_arguments(parser)
-    commands = parser.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
-    for name, module in COMMANDS.items():
-        examples = "".join(f"\n  python vrgs.py {example}" for example in module.EXAMPLES)
-        sub = commands.add_parser(
-            name,
-            prog=as_called(f"vrgs.py {name}"),
-            help=module.HELP,
-            description=module.HELP,
-            epilog=f"example:{examples}",
-            formatter_class=formatter,
-        )
-        sub.set_defaults(run=module.run)
-        module.add_arguments(sub)
-    parser.commands = commands.choices
-    return parser
+    return next((value for value in values if value.endswith(".py")), None)
 
 
 def command_position(parser: Parser, argv: list[str]) -> int | None:
     """Index of the command: the first word that is neither an option nor an option's value; None if there is none.
 
-    Raises BadInput if that is no command, or follows an option that there is not.
+    Raises BadInput if that is no command, or follows an unknown option.
     """
     k = 0
     while k < len(argv):
@@ -155,7 +211,7 @@ def command_position(parser: Parser, argv: list[str]) -> int | None:
 
 
 def given_flags(parser: Parser, argv: Iterable[str], command: str | None) -> tuple[str, ...]:
-    """The flags that are given, in full. Raises BadInput for an option that there is not."""
+    """The flags that are given, in full. Raises BadInput for an unknown option."""
     found = []
     for word in argv:
         if word == "--":
@@ -177,7 +233,7 @@ def named_option(parser: Parser, word: str) -> argparse.Action | None:
 
 
 def no_option(word: str, parser: Parser, command: str | None) -> str:
-    """The message about an option that there is not, with the nearest one."""
+    """The message about an unknown option, with the nearest one."""
     flag = word.partition("=")[0]
     near = difflib.get_close_matches(flag, parser._option_string_actions, 1)
     whose = "there is no option" if command is None else f"{command} has no option"

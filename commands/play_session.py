@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 from collections import deque
@@ -22,6 +21,7 @@ from display.user_commands import AddBody, CancelOpening, Command, Measure, Open
 from scenes.registry import label
 
 if TYPE_CHECKING:
+    from commands.play import PlayOptions
     from display.headless.video import FilmWriter
     from display.keep.keeper import Keeper
     from display.preferences import Preferences
@@ -48,12 +48,12 @@ class Outputs:
 class Planned:
     """A world that is to replace the present one.
 
-    args      of the command line, as if the world had been asked for there
+    options   as if the world had been asked for on the command line
     reserve   assets of bodies for which it must have capacity
     joins     name of the last of `reserve`, a body that joins the present state; "": the scene begins anew
     """
 
-    args: argparse.Namespace
+    options: PlayOptions
     scene: Scene
     reserve: tuple[str, ...] = ()
     joins: str = ""
@@ -62,30 +62,29 @@ class Planned:
 class Session:
     """The world, its display and its outputs. Use it in a `with`, which ends what is being opened.
 
-    args     the command's options, which change with the scene
-    load     gives the scene of such options, `title` the window's
-    options  of a World, besides its size
-    reserve  assets of bodies for which the first world has capacity
+    options        of the command, which change with the scene
+    load           gives the scene of such options
+    world_options  of a World, besides its size
+    reserve        assets of bodies for which the first world has capacity
     """
 
     def __init__(
         self,
-        args: argparse.Namespace,
+        options: PlayOptions,
         scene: Scene,
         display: Display,
         outputs: Outputs,
         *,
         replay: Replay | None,
-        load: Callable[[argparse.Namespace], Scene],
-        title: Callable[[argparse.Namespace], str],
-        options: dict,
+        load: Callable[[PlayOptions], Scene],
+        world_options: dict,
         preferences: Preferences,
         reserve: Sequence[str] = (),
     ):
-        self.args, self.display, self.replay = args, display, replay
+        self.options, self.display, self.replay = options, display, replay
         self.film, self.recording, self.study = outputs.film, outputs.recording, outputs.study
         self.keeper, self.sound = outputs.keeper, outputs.sound
-        self._load, self._title, self._options, self._count = load, title, options, 0
+        self._load, self._world_options, self._count = load, world_options, 0
         self._opening: Opening | None = None
         self._requests: deque[Command] = deque()  # what is opened after that
         self._planned: Planned | None = None
@@ -102,7 +101,7 @@ class Session:
 
     def frames(self) -> Iterator[Frame]:
         """The display's frames, or the recorded ones, as many as wanted; noted by the recording."""
-        for frame in itertools.islice(self._frames(), None if self.args.headless else self.args.frames):
+        for frame in itertools.islice(self._frames(), None if self.options.headless else self.options.frames):
             frame = self._memory.given(frame, self.world)
             yield frame if self.recording is None else self.recording.note(frame)
             self._count += 1
@@ -111,27 +110,27 @@ class Session:
         """Print and write the results of the play."""
         from display.timing import run_stats, write_stats
 
-        args, world = self.args, self.world
+        options, world = self.options, self.world
         if self.replay:
             print(self.replay.report())
-        if args.save_state:
+        if options.save_state:
             from display.keep.scene_state import state_of
             from display.keep.state_file import write_state
 
-            write_state(args.save_state, state_of(world, self.keeper.about))
-        if args.stats:
-            web = {} if args.web is None else {"web": self.display.stats()}
-            write_stats(args.stats, run_stats(world, self._count) | web)
-        if args.snapshot and not args.headless:
+            write_state(options.save_state, state_of(world, self.keeper.about))
+        if options.stats:
+            web = {} if options.web is None else {"web": self.display.stats()}
+            write_stats(options.stats, run_stats(world, self._count) | web)
+        if options.snapshot and not options.headless:
             from display.picture import pixels_of, save_picture
 
-            save_picture(args.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
-        if args.headless:
+            save_picture(options.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
+        if options.headless:
             print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
 
     def _light_is_kept(self) -> bool:
         """True where the light is the user's: not in a scripted play or a replay, nor where a state says it."""
-        return not (self.args.headless or self.replay or self.args.state)
+        return not (self.options.headless or self.replay or self.options.state)
 
     # one world after another
 
@@ -139,7 +138,9 @@ class Session:
         """Frames of each world, without the commands that ask for another one, which are carried out here."""
         while True:
             shown = self.replay.frames if self.replay else self.display.frames
-            frames = shown(self.display, self.world, paced=not self.args.headless) if self.replay else shown(self.world)
+            frames = (
+                shown(self.display, self.world, paced=not self.options.headless) if self.replay else shown(self.world)
+            )
             for frame in frames:
                 requests = [c for c in frame.commands if isinstance(c, OpeningCommand)]
                 frame.commands = [c for c in frame.commands if not isinstance(c, OpeningCommand)]
@@ -191,7 +192,7 @@ class Session:
             path, write = room_writer(self.world, factor)
             write()
             print(f"{path}: {factor:.3g} times as large", file=sys.stderr, flush=True)
-            self._planned = Planned(self.args, self._load(self.args))
+            self._planned = Planned(self.options, self._load(self.options))
         except (BadInput, OSError) as e:
             self.world.tell(" ".join(str(e).split()))
 
@@ -206,7 +207,7 @@ class Session:
         """Go on with what is being opened; once it is ready, add the body, or plan another world."""
         if self._opening is None and self._requests:
             try:
-                self._opening = Opening(self._requests.popleft(), self.args)
+                self._opening = Opening(self._requests.popleft(), self.options)
             except BadInput as e:
                 self.world.tell(str(e))
         opening = self._opening
@@ -231,21 +232,21 @@ class Session:
                 try:
                     self.world.add_body(asset, name)
                 except CapacityError:
-                    self._planned = Planned(self.args, self.world.scene, (*self.world.guests, asset), name)
+                    self._planned = Planned(self.options, self.world.scene, (*self.world.guests, asset), name)
             case OpenScene() | SwapRoom():
-                scene = self._load(opening.args)
+                scene = self._load(opening.options)
                 load_bodies(scene)  # a file that cannot be used is found while the present world still plays
-                self._planned = Planned(opening.args, scene)
+                self._planned = Planned(opening.options, scene)
 
     def _replace_world(self) -> None:
         """Make the planned world in place of the present one; if that fails, the present one again."""
         planned, self._planned = self._planned, None
-        before = self.args, self.world.scene, self.world.reserve, self._state()
+        before = self.options, self.world.scene, self.world.reserve, self._state()
         self._memory.keep(self.world)
         self.world.close()
         problem = ""
         try:
-            self._remake(planned.args, planned.scene, planned.reserve, begins=not planned.joins)
+            self._remake(planned.options, planned.scene, planned.reserve, begins=not planned.joins)
         except Cancelled as e:
             if e.quits:
                 raise
@@ -257,8 +258,8 @@ class Session:
                 raise
             problem = "There is not enough memory for that."
         if problem:
-            args, scene, reserve, state = before
-            self._remake(args, scene, reserve, begins=not planned.joins)
+            options, scene, reserve, state = before
+            self._remake(options, scene, reserve, begins=not planned.joins)
             self._resume(state)
             self.world.tell(problem)
         elif planned.joins:
@@ -278,14 +279,15 @@ class Session:
         if light is not None:
             self.world.set_light(light)
 
-    def _remake(self, args: argparse.Namespace, scene: Scene, reserve: Sequence[str], *, begins: bool) -> None:
+    def _remake(self, options: PlayOptions, scene: Scene, reserve: Sequence[str], *, begins: bool) -> None:
         """Start Taichi anew, and in it this world: so the device has all its memory back, and kernels, whose names in
         the cache count the fields before theirs, are found there."""
         end_taichi()
-        start_taichi(args.arch, args.seed)
-        self.args = args
+        start_taichi(options.arch, options.seed)
+        self.options = options
         if begins:  # else the view stays
-            self.display.show_scene(scene, self._title(args), label(args.scene))
+            name = label(options.scene)
+            self.display.show_scene(scene, f"VR-GS: {name}", name)
         self.world = self._make(scene, reserve)
 
     def _make(self, scene: Scene, reserve: Sequence[str] = ()) -> World:
@@ -295,14 +297,14 @@ class Session:
         from display.timing import start_progress
         from display.world import World, softened_note
 
-        name = label(self.args.scene)
-        self.keeper.scene, self.keeper.about = name, about_play(self.args, self._options)
+        name = label(self.options.scene)
+        self.keeper.scene, self.keeper.about = name, about_play(self.options, self._world_options)
         self._memory = Remembered(self._preferences, name, light=self._light_is_kept())
 
         width, height = self.display.size
         with start_progress(self.display.loading):
-            world = World(scene, width=width, height=height, reserve=reserve, **self._options)
-            if not self.args.headless:
+            world = World(scene, width=width, height=height, reserve=reserve, **self._world_options)
+            if not self.options.headless:
                 world.draw_start()
                 self.display.loading("", world.picture)
                 world.warm_up()

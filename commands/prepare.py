@@ -2,110 +2,134 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from assets.file_access import file_size
-from commands.conditions import Condition
-from commands.options import SPLATS, add_arch, add_preparation, positive
+from commands.options import (
+    SPLATS,
+    Amount,
+    Arch,
+    Condition,
+    Count,
+    OneOf,
+    Preparation,
+    arch_option,
+    argument,
+    option,
+    switch,
+)
 from commands.prepared import cached_body, cached_environment, is_animated, suited
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.runtime import start_taichi
 
-HELP = "make a splat an elastic body, or a room playable"
-EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
-CONDITIONS = (
-    Condition(("--cell", "--cut"), lambda args: args.static, "belongs to --static"),
-    Condition(
-        ("--pieces",), lambda args: not args.static, "belongs to bodies; objects are cut out of a scene with --cut"
-    ),
-    Condition(
-        ("--front", "--vertices", "--cells", "--material", "--mesher", "--rig", "--landmarks", "--no-report"),
-        lambda args: not args.static,
-        "belongs to bodies; with --static nothing is simulated",
-    ),
-    Condition(
-        ("--cell", "--cut", "--material", "--mesher", "--rig", "--landmarks", "--no-report", "--force", "--quantised"),
-        lambda args: not args.cache,
-        "belongs to --out",
-    ),
-    Condition(("--up", "--scale"), lambda args: not (args.cache and args.static), "belongs to --out"),
-)
+WHERE = OneOf(required=True)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}, skinned .glb; --static: or .h5")
-    where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--out", type=Path, metavar="ASSET.h5", help="file to write")
-    text = "keep it where --body and --stage look for it, so that a play begins at once"
-    where.add_argument("--cache", action="store_true", help=text)
-    parser.add_argument("--rig", type=Path, metavar="RIG.glb", help="animate a standing person by this rig's motion")
-    text = "positions of the person's joints (default: guessed)"
-    parser.add_argument("--landmarks", type=Path, metavar="L.json", help=text)
-    add_preparation(parser)
-    *others, last = MATERIALS
-    text = f"{', '.join(others)} or {last} (default plush, stiffer where a slender shape needs it; with a rig flesh)"
-    parser.add_argument("--material", metavar="NAME", help=text)
-    text = "the splat is a room or garden to play in"
-    parser.add_argument("--static", action="store_true", help=text)
-    text = "--static: spacing of the distance grid (default: by size)"
-    parser.add_argument("--cell", type=positive(float), metavar="M", help=text)
-    text = "--static: objects to cut out, each into a file"
-    parser.add_argument("--cut", type=positive(int), nargs="+", metavar="ID", help=text)
-    parser.add_argument("--force", action="store_true", help="overwrite OUT")
-    text = "maker of the tetrahedra (default stuffing; tetgen as in the paper: see requirements-tetgen.txt)"
-    parser.add_argument("--mesher", choices=("stuffing", "tetgen"), default="stuffing", help=text)
-    text = "leave out ASSET.report.html and ASSET.report.json"
-    parser.add_argument("--no-report", action="store_true", help=text)
-    text = "a third to a fifth of the file's size, with losses that are hardly seen (docs/formats.md)"
-    parser.add_argument("--quantised", action="store_true", help=text)
-    add_arch(parser)
+@dataclass(kw_only=True)
+class PrepareOptions(Preparation):
+    """Options of `prepare`."""
+
+    EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
+    CONDITIONS = (
+        Condition(("--cell", "--cut"), lambda o: o.static, "belongs to --static"),
+        Condition(
+            ("--pieces",), lambda o: not o.static, "belongs to bodies; objects are cut out of a scene with --cut"
+        ),
+        Condition(
+            ("--front", "--vertices", "--cells", "--material", "--mesher", "--rig", "--landmarks", "--no-report"),
+            lambda o: not o.static,
+            "belongs to bodies; with --static nothing is simulated",
+        ),
+        Condition(
+            (
+                *("--cell", "--cut", "--material", "--mesher", "--rig", "--landmarks"),
+                *("--no-report", "--force", "--quantised"),
+            ),
+            lambda o: not o.cache,
+            "belongs to --out",
+        ),
+        Condition(("--up", "--scale"), lambda o: not (o.cache and o.static), "belongs to --out"),
+    )
+
+    splats: Path = argument("SPLATS", f"{SPLATS}, skinned .glb; --static: or .h5")
+    out: Path | None = option("ASSET.h5", "file to write", one_of=WHERE)
+    cache: bool = switch("keep it where --body and --stage look for it, so that a play begins at once", one_of=WHERE)
+    rig: Path | None = option("RIG.glb", "animate a standing person by this rig's motion")
+    landmarks: Path | None = option("L.json", "positions of the person's joints (default: guessed)")
+    material: str | None = option(
+        "NAME",
+        f"{', '.join(list(MATERIALS)[:-1])} or {list(MATERIALS)[-1]} "
+        "(default plush, stiffer where a slender shape needs it; with a rig flesh)",
+    )
+    static: bool = switch("the splat is a room or garden to play in")
+    cell: Amount | None = option("M", "--static: spacing of the distance grid (default: by size)")
+    cut: list[Count] | None = option("ID", "--static: objects to cut out, each into a file")
+    force: bool = switch("overwrite OUT")
+    mesher: Literal["stuffing", "tetgen"] = option(
+        None,
+        "maker of the tetrahedra (default stuffing; tetgen as in the paper: see requirements-tetgen.txt)",
+        "stuffing",
+    )
+    no_report: bool = switch("leave out ASSET.report.html and ASSET.report.json")
+    quantised: bool = switch(
+        "a third to a fifth of the file's size, with losses that are hardly seen (docs/formats.md)"
+    )
+    arch: Arch | None = arch_option()
 
 
-def run(args: argparse.Namespace) -> None:
+def prepare(options: PrepareOptions) -> None:
     """Prepare a body, or with --static an environment, after a check of where its files go. Raises BadInput."""
-    if args.cache:
-        print((cached_environment if args.static else cached_body)(args.splats, args))
+    o = options
+    if o.cache:
+        print(cached_environment(o.splats, o.arch) if o.static else cached_body(o.splats, o, o.arch)[0])
         return
     from prepare.environment.environment_pipeline import EnvironmentOptions
-    from prepare.pipeline import Options
+    from prepare.pipeline import Options as PipelineOptions
     from prepare.preparation_report import report_names
     from prepare.prepared_files import device_vertices, object_file, prepare_environment_file, prepare_file
     from prepare.report_pictures import strip_name
 
-    out = Path(args.out)
-    cut = tuple(sorted(set(args.cut or ())))
-    file_size(Path(args.splats))  # before other errors
+    out, cut = o.out, tuple(sorted(set(o.cut or ())))
+    file_size(o.splats)  # before other errors
     if out.suffix.lower() != ".h5":
         raise BadInput(f"{out}: an asset's name ends in .h5")
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
-    reports = () if args.static or args.no_report else report_names(out)
-    strips = () if args.up or (args.no_report and not args.static) else (strip_name(out),)
+    reports = () if o.static or o.no_report else report_names(out)
+    strips = () if o.up or (o.no_report and not o.static) else (strip_name(out),)
     for file in (out, *strips, *reports, *(object_file(out, k) for k in cut)):
-        if file.exists() and not args.force:
+        if file.exists() and not o.force:
             raise BadInput(f"{file}: exists already; --force overwrites it")
-    start_taichi(args.arch)
-    if args.static:
-        options = EnvironmentOptions(up=args.up, scale=args.scale, cell=args.cell, cut=cut)
-        for file in prepare_environment_file(args.splats, out, options, pictures=True, quantised=args.quantised):
+    start_taichi(o.arch)
+    if o.static:
+        environment = EnvironmentOptions(up=o.up, scale=o.scale, cell=o.cell, cut=cut)
+        for file in prepare_environment_file(o.splats, out, environment, pictures=True, quantised=o.quantised):
             print(f"wrote {file}")
         return
-    vertices = () if args.vertices else device_vertices(animated=is_animated(args.splats, args.rig))
-    options = Options(
-        args.vertices or vertices[0],
-        args.scale,
-        args.up,
-        args.material,
-        args.mesher,
-        args.cells == "adaptive",
-        args.pieces,
-        front=args.front,
-    )
+    vertices = () if o.vertices else device_vertices(animated=is_animated(o.splats, o.rig))
     if vertices:
         print(suited(vertices[0]))
-    files = {"rig": args.rig, "landmarks": args.landmarks, "quantised": args.quantised}
-    prepare_file(args.splats, out, options, vertices=vertices, **files, pictures=True, page=bool(reports))
+    prepare_file(
+        o.splats,
+        out,
+        PipelineOptions(
+            vertices=o.vertices or vertices[0],
+            scale=o.scale,
+            up=o.up,
+            material=o.material,
+            mesher=o.mesher,
+            adaptive=o.cells == "adaptive",
+            pieces=o.pieces,
+            front=o.front,
+        ),
+        vertices=vertices,
+        rig=o.rig,
+        landmarks=o.landmarks,
+        quantised=o.quantised,
+        pictures=True,
+        page=bool(reports),
+    )
     print(f"wrote {out}" + (f" and {reports[0]}" if reports else ""))

@@ -2,75 +2,74 @@
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from assets.file_access import file_size
-from assets.library import cached_asset
+from assets.library import SHIPPED_FOLDER, cached_asset
 from assets.room_folder import is_room_folder, read_room
 from core.errors import BadInput
 from core.program import cache_folder
 from core.runtime import start_taichi
 
+if TYPE_CHECKING:
+    from commands.options import Preparation
+    from commands.play import PlayOptions
+    from prepare.progress import Progress
+
 BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 7, 6  # of what `cached_body` and `cached_environment` make
 
 
-def prepared_bodies(args: argparse.Namespace) -> list[str]:
+def prepared_bodies(options: PlayOptions) -> list[str]:
     """The asset of each --body: an asset as it is, a splat prepared and cached.
 
-    Where no number of vertices is asked for, args.vertices becomes that of the only splat, or theirs in a list.
+    Without --vertices, options.vertices becomes that of the only splat, or a list of theirs.
     """
-    if not args.body:
-        return []
-    splats = [name for name in args.body if not is_asset(name)]
-    asked = args.vertices if isinstance(args.vertices, list) else [args.vertices] * len(splats)
-    if len(asked) != len(splats):
-        raise BadInput(f"there are numbers of vertices for {len(asked)} bodies, not for {len(splats)}")
+    splats = [name for name in options.body or () if not is_asset(name)]
+    wanted = options.vertices if isinstance(options.vertices, list) else [options.vertices] * len(splats)
+    if len(wanted) != len(splats):
+        raise BadInput(f"there are numbers of vertices for {len(wanted)} bodies, not for {len(splats)}")
     made = {}
     for k, name in enumerate(splats):
-        made[name], asked[k] = prepared_body(Path(name), args, asked[k])
+        made[name], wanted[k] = prepared_body(Path(name), options, wanted[k])
     if splats:
-        args.vertices = asked[0] if len(asked) == 1 else asked
-    return [made.get(name, name) for name in args.body]
+        options.vertices = wanted[0] if len(wanted) == 1 else wanted
+    return [made.get(name, name) for name in options.body or ()]
 
 
 def is_asset(name: str) -> bool:
     """True if a body or room is an asset already: a shipped one, or an .h5 file."""
-    from assets.library import SHIPPED_FOLDER
-
     return (SHIPPED_FOLDER / f"{name}.h5").is_file() or Path(name).suffix.lower() == ".h5"
 
 
-def prepared_body(path: Path, args: argparse.Namespace, vertices: int | None) -> tuple[str, int]:
+def prepared_body(path: Path, options: PlayOptions, vertices: int | None = None) -> tuple[str, int]:
     """The asset of a splat file, and its number of vertices."""
-    file_size(path)
-    own = argparse.Namespace(**{**vars(args), "vertices": vertices})
-    return str(cached_body(path, own)), own.vertices
+    asset, vertices = cached_body(path, options, options.arch, options.seed, vertices=vertices)
+    return str(asset), vertices
 
 
-def prepared_stage(args: argparse.Namespace) -> str | None:
+def prepared_stage(options: PlayOptions) -> str | None:
     """The asset of --stage: an asset as it is, the background of a captured room, a splat prepared and cached."""
-    if args.stage is None or is_asset(args.stage):
-        return args.stage
-    if Path(args.stage).is_dir():
-        return str(Path(args.stage) / read_room(args.stage).background)
-    return str(cached_environment(Path(args.stage), args))
+    if options.stage is None or is_asset(options.stage):
+        return options.stage
+    if Path(options.stage).is_dir():
+        return str(Path(options.stage) / read_room(options.stage).background)
+    return str(cached_environment(Path(options.stage), options.arch, options.seed))
 
 
-def prepared_capture(args: argparse.Namespace) -> None:
+def prepared_capture(options: PlayOptions) -> None:
     """Make a room of the capture that a scene's option --capture names, unless it is one; kept in the cache.
 
     The option becomes the room's folder.
     """
-    options = args.options or {}
-    capture = options.get("capture")
+    capture = options.options.get("capture")
     if capture is None or is_room_folder(capture):
         return
-    from commands.capture_room import make_room, room_arguments
+    from commands.capture_room import CaptureOptions, make_room
     from scenes.registry import demo
 
-    found = demo(args.scene)
+    found = demo(options.scene)
     if found is None or all(option.name != "capture" for option in found.options):
         return  # it is refused later, with the reason
     path = Path(capture)
@@ -79,15 +78,15 @@ def prepared_capture(args: argparse.Namespace) -> None:
     name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
     room = cache_folder() / "rooms" / f"{path.resolve().stem}-{name}"
     print(f"making a room of {capture} (once; kept as {room})", flush=True)
-    make_room(room_arguments(path, room, args.arch, args.seed))
-    args.options = {**options, "capture": str(room)}
+    make_room(CaptureOptions(capture=path, out=room, arch=options.arch, seed=options.seed))
+    options.options = {**options.options, "capture": str(room)}
 
 
 def is_animated(splats: Path, rig: Path | None = None) -> bool:
     """True if the body made of these files moves by itself."""
     from prepare.rig.rigging import is_skinned
 
-    return rig is not None or is_skinned(Path(splats))
+    return rig is not None or is_skinned(splats)
 
 
 def suited(vertices: int) -> str:
@@ -97,47 +96,56 @@ def suited(vertices: int) -> str:
     return f"a cage of {vertices} vertices, as suits a {'GPU' if ti.cfg.arch == ti.cuda else 'CPU'} (--vertices N)"
 
 
-def cached_body(splats: Path, args: argparse.Namespace) -> Path:
-    """The asset prepared from a splat file with the options; made now unless it is in the cache. Raises BadInput.
+def cached_body(
+    splats: Path,
+    how: Preparation,
+    arch: str | None = None,
+    seed: int = 0,
+    *,
+    vertices: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Path, int]:
+    """The asset prepared from a splat file, and its number of vertices; made now unless it is in the cache.
 
-    Without args.vertices as many as suit the device are taken; then it becomes that number.
+    vertices  of the cage, instead of those in `how`; without either as many as suit the device
+    Raises BadInput.
     """
     file_size(splats)
-    chosen = chosen_vertices(splats, args)
-    out = body_place(splats, args, chosen)
-    if not out.is_file():
+    vertices = vertices or how.vertices
+    chosen = () if vertices else chosen_vertices(splats, arch, seed)
+    out = body_place(splats, how, vertices or chosen)
+    if out.is_file():
+        _ask_up(splats, out)
+    else:
         from prepare.pipeline import Options
         from prepare.prepared_files import prepare_file
 
-        _begin(splats, out, args)
-        adaptive = args.cells == "adaptive"
-        how = {"adaptive": adaptive, "pieces": args.pieces, "front": args.front}
-        options = Options(args.vertices or chosen[0], args.scale, args.up, **how)
-        prepare_file(splats, out, options, vertices=chosen)
-    else:
-        _ask_up(splats, out)
+        _begin(splats, out, arch, seed)
+        adaptive = how.cells == "adaptive"
+        options = Options(
+            vertices or chosen[0], how.scale, how.up, adaptive=adaptive, pieces=how.pieces, front=how.front
+        )
+        prepare_file(splats, out, options, vertices=chosen, progress=progress)
     if chosen:
-        args.vertices = wanted_vertices(out)
-        print(f"{splats.name}: {suited(args.vertices)}", flush=True)
-    return out
+        vertices = wanted_vertices(out)
+        print(f"{splats.name}: {suited(vertices)}", flush=True)
+    return out, vertices
 
 
-def chosen_vertices(splats: Path, args: argparse.Namespace) -> tuple[int, ...]:
-    """Numbers of vertices to be tried in turn, where args.vertices asks for none; else ()."""
+def chosen_vertices(splats: Path, arch: str | None, seed: int) -> tuple[int, ...]:
+    """Numbers of vertices to be tried in turn where none is asked for."""
     from prepare.prepared_files import device_vertices
 
-    if args.vertices:
-        return ()
-    start_taichi(args.arch, args.seed)
+    start_taichi(arch, seed)
     return device_vertices(animated=is_animated(splats))
 
 
-def body_place(splats: Path, args: argparse.Namespace, chosen: tuple[int, ...]) -> Path:
+def body_place(splats: Path, how: Preparation, vertices: int | tuple[int, ...]) -> Path:
     """Path in the cache of the asset of a splat file, whether or not it exists yet."""
-    key = {"vertices": args.vertices or chosen, "scale": args.scale, "up": args.up}
-    key |= {} if args.front is None else {"front": args.front}
-    key |= {} if args.cells == "adaptive" else {"cells": args.cells}
-    key |= {"pieces": True} if args.pieces else {}
+    key = {"vertices": vertices, "scale": how.scale, "up": how.up}
+    key |= {} if how.front is None else {"front": how.front}
+    key |= {} if how.cells == "adaptive" else {"cells": how.cells}
+    key |= {"pieces": True} if how.pieces else {}
     return cached_asset(splats, key | {"version": BODY_CACHE_VERSION})
 
 
@@ -146,11 +154,13 @@ def environment_place(splats: Path) -> Path:
     return cached_asset(splats, {"stage": ENVIRONMENT_CACHE_VERSION})
 
 
-def is_prepared(path: Path, args: argparse.Namespace, *, room: bool) -> bool:
-    """True if the asset of a splat file is in the cache. Raises BadInput for a file that there is not."""
+def is_prepared(path: Path, options: PlayOptions, *, room: bool) -> bool:
+    """True if the asset of a splat file is in the cache. Raises BadInput for a missing file."""
     file_size(path)
-    place = environment_place(path) if room else body_place(path, args, chosen_vertices(path, args))
-    return place.is_file()
+    if room:
+        return environment_place(path).is_file()
+    vertices = options.vertices or chosen_vertices(path, options.arch, options.seed)
+    return body_place(path, options, vertices).is_file()
 
 
 def wanted_vertices(path: Path) -> int:
@@ -164,22 +174,24 @@ def wanted_vertices(path: Path) -> int:
             raise file.error("does not say how many vertices it was prepared with") from e
 
 
-def cached_environment(splats: Path, args: argparse.Namespace) -> Path:
+def cached_environment(
+    splats: Path, arch: str | None = None, seed: int = 0, *, progress: Progress | None = None
+) -> Path:
     """The environment prepared from a splat file; made now unless it is in the cache. Raises BadInput."""
     file_size(splats)
     out = environment_place(splats)
-    if not out.is_file():
+    if out.is_file():
+        _ask_up(splats, out)
+    else:
         from prepare.prepared_files import prepare_environment_file
 
-        _begin(splats, out, args)
-        prepare_environment_file(splats, out)
-    else:
-        _ask_up(splats, out)
+        _begin(splats, out, arch, seed)
+        prepare_environment_file(splats, out, progress=progress)
     return out
 
 
 def _ask_up(splats: Path, prepared: Path) -> None:
-    """Say again, of what was prepared earlier, that its up axis was not sure, unless the user has turned it since."""
+    """Say again of an earlier preparation that its up axis was not sure, unless the user has turned it since."""
     from assets.hdf5 import open_hdf5
     from assets.orientation import question
 
@@ -190,6 +202,6 @@ def _ask_up(splats: Path, prepared: Path) -> None:
         print(f"{splats.name}: {line}", flush=True)
 
 
-def _begin(splats: Path, out: Path, args: argparse.Namespace) -> None:
-    start_taichi(args.arch, args.seed)
+def _begin(splats: Path, out: Path, arch: str | None, seed: int) -> None:
+    start_taichi(arch, seed)
     print(f"preparing {splats.name} (once; kept as {out})", flush=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,77 +12,91 @@ import numpy as np
 from assets.camera_file import read_cameras
 from assets.file_access import atomic_write
 from assets.splat_files import read_gaussians
-from commands.conditions import Condition
-from commands.options import AXES, SPLATS, add_arch, add_sort, elevation, positive, size
+from commands.options import (
+    SPLATS,
+    Arch,
+    Axis,
+    Condition,
+    Count,
+    Elevation,
+    OneOf,
+    Options,
+    Size,
+    Sort,
+    arch_option,
+    argument,
+    option,
+    sort_option,
+    switch,
+)
 from core.camera import Camera
 from core.errors import BadInput
 from core.runtime import start_taichi
 
 DEFAULT_SORT = "z"  # as other renderers draw
-HELP = "draw a splat file, or film a turn around it"
-EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
-CONDITIONS = (
-    Condition(
-        ("--up", "--size", "--frames", "--elevation"),
-        lambda args: args.turntable,
-        "belongs to --turntable; a camera file says all of this itself",
-    ),
-)
 TURNTABLE_FPS = 30.0  # [1/s]
+WHERE = OneOf()
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS} or .h5")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--camera", type=Path, metavar="CAM.json", help="one camera or a list")
-    where.add_argument("--turntable", action="store_true", help="film one turn around it")
-    parser.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz|OUT.mp4", help="file to write")
-    parser.add_argument("--up", choices=AXES, help="turntable: the file's up axis (default: guessed)")
-    text = "turntable: picture size (default 960x540)"
-    parser.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help=text)
-    text = "turntable: number of pictures (default 180)"
-    parser.add_argument("--frames", type=positive(int), default=180, metavar="N", help=text)
-    text = "turntable: elevation of the camera (default 15)"
-    parser.add_argument("--elevation", type=elevation, default=15.0, metavar="DEG", help=text)
-    add_sort(parser, DEFAULT_SORT)
-    parser.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
-    add_arch(parser)
+@dataclass(kw_only=True)
+class RenderOptions(Options):
+    """Options of `render`."""
+
+    EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
+    CONDITIONS = (
+        Condition(
+            ("--up", "--size", "--frames", "--elevation"),
+            lambda o: o.turntable,
+            "belongs to --turntable; a camera file says all of this itself",
+        ),
+    )
+
+    splats: Path = argument("SPLATS", f"{SPLATS} or .h5")
+    camera: Path | None = option("CAM.json", "one camera or a list", one_of=WHERE)
+    turntable: bool = switch("film one turn around it", one_of=WHERE)
+    out: Path = option("OUT.png|OUT.npz|OUT.mp4", "file to write", required=True)
+    up: Axis | None = option(None, "turntable: the file's up axis (default: guessed)")
+    size: Size = option("WxH", "turntable: picture size (default 960x540)", (960, 540))
+    frames: Count = option("N", "turntable: number of pictures (default 180)", 180)
+    elevation: Elevation = option("DEG", "turntable: elevation of the camera (default 15)", 15.0)
+    sort: Sort | None = sort_option(DEFAULT_SORT)
+    antialias: bool = switch("opacity compensation of Mip-Splatting")
+    arch: Arch | None = arch_option()
 
 
-def run(args: argparse.Namespace) -> None:
-    """Draw `args.splats` into `args.out`. Raises BadInput."""
-    start_taichi(args.arch)
-    if args.turntable:
-        film_turntable(args)
+def render(options: RenderOptions) -> None:
+    """Draw the splats into --out. Raises BadInput."""
+    start_taichi(options.arch)
+    if options.turntable:
+        film_turntable(options)
     else:
-        draw_pictures(args)
+        draw_pictures(options)
 
 
-def draw_pictures(args: argparse.Namespace) -> None:
-    """Draw through `args.camera`: .png, 8 bits on black, or .npz, float32.
+def draw_pictures(options: RenderOptions) -> None:
+    """Draw through --camera: .png, 8 bits on black, or .npz, float32.
 
     Several cameras give OUT_000.png, OUT_001.png, ... or one NPZ with rgb (V, H, W, 3), alpha and
     depth [m] (V, H, W), unclamped and without a background. Raises BadInput.
     """
-    if args.camera is None:
+    if options.camera is None:
         raise BadInput("no camera: use --camera CAM.json, or --turntable for a film of one turn")
-    out = Path(args.out)
+    out = options.out
     if out.suffix.lower() not in (".png", ".npz"):
         raise BadInput(f"{out}: the picture's name must end in .png or .npz")
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
-    cameras = read_cameras(args.camera)
-    gaussians = read_gaussians(args.splats)
-    sort = args.sort or gaussians.sort or DEFAULT_SORT
+    cameras = read_cameras(options.camera)
+    gaussians = read_gaussians(options.splats)
+    sort = options.sort or gaussians.sort or DEFAULT_SORT
     start = time.perf_counter()
     if out.suffix.lower() == ".npz":
-        images = draw_float(gaussians, cameras, antialias=args.antialias, sort=sort)
+        images = draw_float(gaussians, cameras, antialias=options.antialias, sort=sort)
         with atomic_write(out) as beside, open(beside, "wb") as file:
             np.savez_compressed(file, **images)
     else:
         for path, picture in zip(
-            picture_names(out, len(cameras)), draw_rgba8(gaussians, cameras, args.antialias, sort), strict=True
+            picture_names(out, len(cameras)), draw_rgba8(gaussians, cameras, options.antialias, sort), strict=True
         ):
             _write_png(path, picture)
     pixels = f"{cameras[0].width}x{cameras[0].height}"
@@ -131,8 +145,8 @@ def _write_png(path: Path, rgba: np.ndarray) -> None:
         beside.write_bytes(data.tobytes())
 
 
-def film_turntable(args: argparse.Namespace) -> None:
-    """Film one turn around the splats: an MP4 of `args.frames` pictures. Raises BadInput."""
+def film_turntable(options: RenderOptions) -> None:
+    """Film one turn around the splats: an MP4 of --frames pictures. Raises BadInput."""
     from display.headless.headless import Progress
     from display.headless.video import Video
     from display.picture import pixels_of
@@ -140,22 +154,23 @@ def film_turntable(args: argparse.Namespace) -> None:
     from render.renderer import Renderer
     from render.splats import Splats
 
-    width, height = args.size
-    video = Video(args.out, width, height, fps=TURNTABLE_FPS, frames=args.frames)
+    width, height = options.size
+    video = Video(options.out, width, height, fps=TURNTABLE_FPS, frames=options.frames)
     with contextlib.ExitStack() as at_end:
         at_end.callback(video.discard)
         start = time.perf_counter()
-        gaussians, up = upright(args.splats, args.up)
-        sort = args.sort or gaussians.sort or DEFAULT_SORT
-        options = {"antialias": args.antialias, "sort": sort, "background": BACKGROUND}
-        renderer = Renderer(Splats(gaussians), width, height, **options)
-        progress = Progress(args.frames)
-        for k in range(args.frames):
-            yaw = 2 * np.pi * k / args.frames
-            renderer.render([camera_around(gaussians, width, height, yaw, elevation=np.radians(args.elevation))])
+        gaussians, up = upright(options.splats, options.up)
+        sort = options.sort or gaussians.sort or DEFAULT_SORT
+        renderer = Renderer(
+            Splats(gaussians), width, height, antialias=options.antialias, sort=sort, background=BACKGROUND
+        )
+        progress = Progress(options.frames)
+        for k in range(options.frames):
+            yaw = 2 * np.pi * k / options.frames
+            renderer.render([camera_around(gaussians, width, height, yaw, elevation=np.radians(options.elevation))])
             video.write(pixels_of(renderer.picture))
             progress.show(k + 1)
         progress.end()
         video.close()
     seconds, count = time.perf_counter() - start, len(gaussians)
-    print(f"{args.out}: {args.frames} pictures {width}x{height} of {count} Gaussians, {up}, {seconds:.1f} s")
+    print(f"{options.out}: {options.frames} pictures {width}x{height} of {count} Gaussians, {up}, {seconds:.1f} s")

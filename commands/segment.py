@@ -2,88 +2,98 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from assets.file_access import atomic_write, check_writable
-from commands.conditions import Condition
-from commands.options import add_arch, positive
+from assets.file_access import atomic_write, check_writable, locked_folder
+from assets.splat_files import MESHES, READERS, read_gaussians
+from commands.options import Arch, Condition, Count, Options, arch_option, argument, option
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-HELP = "find marked objects in all photographs of a capture, or take them out of a splat"
-EXAMPLES = (
-    "segment toys/ --marks marks.json --splats toys.ply --out toys/masks",
-    "segment bear/ --marks marks.json --out masks/ --overlay masks.html    by the capture's sparse points",
-    "segment toys/ --marks marks.json --splats toys.ply --out m/ --model sam_like.onnx",
-    "segment room.ply --out parts/    mark in a window; a splat an object, and the rest",
-    "segment room.ply --marks marks.json --out parts/",
-)
-CONDITIONS = (
-    Condition(
-        ("--arch",),
-        lambda args: args.splats or is_splats(args.capture),
-        "belongs to --splats; nothing else needs a device",
-    ),
-    Condition(
-        ("--splats", "--model", "--reduce", "--overlay", "--compare"),
-        lambda args: not is_splats(args.capture),
-        "is for a capture, not for a splat",
-    ),
-)
-WINDOW_SIZE = (1200, 680)  # in screen coordinates
+if TYPE_CHECKING:
+    from prepare.segment.splat_marks import SplatMarks
+
+WINDOW_SIZE, SPLAT_WINDOW_SIZE = (1200, 680), (1200, 640)  # in screen coordinates
+MARKS_FILE = "marks.json"  # in the output folder
 LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    text = "folder with transforms.json or a COLMAP model, or a transforms.json; or a splat file in any format"
-    parser.add_argument("capture", type=Path, metavar="CAPTURE|SPLATS", help=text)
-    text = "strokes and boxes in one or more pictures (docs/your_own.md), about two strokes per object. By default a "
-    text += "window opens to draw them; they are saved in CAPTURE/marks.json, for a splat in FOLDER/marks.json"
-    parser.add_argument("--marks", type=Path, metavar="MARKS.json", help=text)
-    text = (
-        "output: a mask for each photograph; for a splat, one splat per object, background.ply, and scene.ply with ids"
+@dataclass(kw_only=True)
+class SegmentOptions(Options):
+    """Options of `segment`."""
+
+    EXAMPLES = (
+        "segment toys/ --marks marks.json --splats toys.ply --out toys/masks",
+        "segment bear/ --marks marks.json --out masks/ --overlay masks.html    by the capture's sparse points",
+        "segment toys/ --marks marks.json --splats toys.ply --out m/ --model sam_like.onnx",
+        "segment room.ply --out parts/    mark in a window; a splat an object, and the rest",
+        "segment room.ply --marks marks.json --out parts/",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help=text)
-    text = "splat trained on the capture (vrgs.py train), whose depth carries the marks (default: the sparse points)"
-    parser.add_argument("--splats", type=Path, metavar="SPLATS", help=text)
-    text = "network of yours that refines the borders instead of GrabCut (docs/your_own.md)"
-    parser.add_argument("--model", type=Path, metavar="FILE.onnx", help=text)
-    text = "work on photographs whose width and height are divided by N"
-    parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help=text)
-    text = "write all photographs with the masks drawn over them: .png or .html"
-    parser.add_argument("--overlay", type=Path, metavar="SHEET", help=text)
-    text = "folder of true masks: print the overlap with them (intersection over union, IoU)"
-    parser.add_argument("--compare", type=Path, metavar="MASKS", help=text)
-    add_arch(parser)
+    CONDITIONS = (
+        Condition(
+            ("--arch",),
+            lambda o: o.splats or is_splats(o.capture),
+            "belongs to --splats; nothing else needs a device",
+        ),
+        Condition(
+            ("--splats", "--model", "--reduce", "--overlay", "--compare"),
+            lambda o: not is_splats(o.capture),
+            "is for a capture, not for a splat",
+        ),
+    )
+
+    capture: Path = argument(
+        "CAPTURE|SPLATS",
+        "folder with transforms.json or a COLMAP model, or a transforms.json; or a splat file in any format",
+    )
+    marks: Path | None = option(
+        "MARKS.json",
+        "strokes and boxes in one or more pictures (docs/your_own.md), about two strokes per object. By default a "
+        "window opens to draw them; they are saved in CAPTURE/marks.json, for a splat in FOLDER/marks.json",
+    )
+    out: Path = option(
+        "FOLDER",
+        "output: a mask for each photograph; for a splat, one splat per object, background.ply, and scene.ply with ids",
+        required=True,
+    )
+    splats: Path | None = option(
+        "SPLATS",
+        "splat trained on the capture (vrgs.py train), whose depth carries the marks (default: the sparse points)",
+    )
+    model: Path | None = option(
+        "FILE.onnx", "network of yours that refines the borders instead of GrabCut (docs/your_own.md)"
+    )
+    reduce: Count = option("N", "work on photographs whose width and height are divided by N", 1)
+    overlay: Path | None = option("SHEET", "write all photographs with the masks drawn over them: .png or .html")
+    compare: Path | None = option(
+        "MASKS", "folder of true masks: print the overlap with them (intersection over union, IoU)"
+    )
+    arch: Arch | None = arch_option()
 
 
 def is_splats(path: Path) -> bool:
     """True for the name of a splat file or mesh, which holds no photographs."""
-    from assets.splat_files import MESHES, READERS
 
     suffix = path.suffix.lower()
     return suffix in (*READERS, *MESHES) and (suffix != ".json" or path.name.lower() == "meta.json")
 
 
-def run(args: argparse.Namespace) -> None:
-    """Segment what `args.capture` names. Raises BadInput."""
-    if is_splats(args.capture):
-        from commands.splat_objects import take_objects
-
-        take_objects(args)
+def segment(options: SegmentOptions) -> None:
+    """Segment a capture or a splat. Raises BadInput."""
+    if is_splats(options.capture):
+        take_objects(options)
     else:
-        segment_capture(args)
+        segment_capture(options)
 
 
-def segment_capture(args: argparse.Namespace) -> None:
+def segment_capture(options: SegmentOptions) -> None:
     """Carry the marks to all views and write the masks. Raises BadInput."""
-    from assets.splat_files import read_gaussians
     from prepare.segment.marks import read_marks
     from prepare.segment.mask_files import (
         check_masks_folder,
@@ -96,44 +106,44 @@ def segment_capture(args: argparse.Namespace) -> None:
     from prepare.train.capture_files import read_capture
     from prepare.train.photographs import load_photograph
 
-    check_masks_folder(args.out)
-    if args.overlay is not None:
-        if args.overlay.suffix.lower() not in (".png", ".html"):
-            raise BadInput(f"{args.overlay}: the sheet's name must end in .png or .html")
-        check_writable(args.overlay)
-    capture = read_capture(args.capture)
+    check_masks_folder(options.out)
+    if options.overlay is not None:
+        if options.overlay.suffix.lower() not in (".png", ".html"):
+            raise BadInput(f"{options.overlay}: the sheet's name must end in .png or .html")
+        check_writable(options.overlay)
+    capture = read_capture(options.capture)
     sizes = {v.name: photograph_size(v)[::-1] for v in capture.views}
-    truth = None if args.compare is None else read_masks(args.compare, capture.views)
+    truth = None if options.compare is None else read_masks(options.compare, capture.views)
     cut = grab_cut
-    if args.model is not None:
+    if options.model is not None:
         from prepare.onnx_network import MaskNetwork
 
-        cut = MaskNetwork(args.model)
+        cut = MaskNetwork(options.model)
     splats = None
-    if args.splats is not None:
-        splats = read_gaussians(args.splats)
-        start_taichi(args.arch)
+    if options.splats is not None:
+        splats = read_gaussians(options.splats)
+        start_taichi(options.arch)
     elif not len(capture.points):
-        raise BadInput(f"{args.capture}: has no sparse points; train on it first, then give the splat with --splats")
+        raise BadInput(f"{options.capture}: has no sparse points; train on it first, then give the splat with --splats")
     marks = (
         marked_photographs(capture, sizes, capture.folder / "marks.json")
-        if args.marks is None
-        else read_marks(args.marks, sizes)
+        if options.marks is None
+        else read_marks(options.marks, sizes)
     )
     start, progress = time.perf_counter(), TimeLeft()
     photographs = []
     for k, view in enumerate(capture.views):
-        photographs.append(load_photograph(view, args.reduce))
+        photographs.append(load_photograph(view, options.reduce))
         progress("photographs", (k + 1) / len(capture.views))
     if splats is not None:
         progress("splats beside photographs", 0.0)  # compiles the renderer
-        capture, photographs = in_world_of(splats, capture, photographs, args.splats)
+        capture, photographs = in_world_of(splats, capture, photographs, options.splats)
     masks = propagate_marks(capture, photographs, marks, splats, progress, cut=cut)
     progress.end()
-    write_masks(args.out, capture.views, masks)
-    if args.overlay is not None:
-        write_sheet(args.overlay, capture.views, masks)
-        print(f"{args.overlay}: photographs with their masks")
+    write_masks(options.out, capture.views, masks)
+    if options.overlay is not None:
+        write_sheet(options.overlay, capture.views, masks)
+        print(f"{options.overlay}: photographs with their masks")
     for name, overlap in overlap_of(masks, truth).items() if truth else ():
         print(f"{name}: IoU {overlap:.3f}")
     for name in masks.names:
@@ -142,7 +152,7 @@ def segment_capture(args: argparse.Namespace) -> None:
         print(f"{name}: in {seen} of {len(masks.ids)} photographs, {masks.pixels(name):,} pixels")
         if seen < 0.3 * len(masks.ids):
             print(f"{name}: found in few photographs; check with --overlay, mark it in one more", file=sys.stderr)
-    print(f"{args.out}: {len(masks.ids)} masks, {time.perf_counter() - start:.0f} s")
+    print(f"{options.out}: {len(masks.ids)} masks, {time.perf_counter() - start:.0f} s")
 
 
 def marked_photographs(capture, sizes: dict[str, tuple[int, int]], path: Path):
@@ -231,3 +241,66 @@ def in_world_of(splats, capture, photographs: list, path: Path):
     if error > 0.7:  # of what a plain picture of the mean colour would be off; a fair training is off by 0.1 to 0.3
         raise BadInput(f"{path}: does not show what {capture.folder} photographed; was it trained on another capture?")
     return posed, [p._replace(camera=c) for p, c in zip(photographs, cameras, strict=True)]
+
+
+def take_objects(options: SegmentOptions) -> None:
+    """Write a splat per object that the marks mark to the folder --out. Raises BadInput."""
+    if options.out.exists() and not options.out.is_dir():
+        raise BadInput(f"{options.out}: is a file; --out is a folder")
+    with locked_folder(options.out):
+        _take_objects(options)
+
+
+def _take_objects(options: SegmentOptions) -> None:
+    """As `take_objects`, in the locked folder."""
+    from display.picture import save_picture
+    from prepare.segment.splat_marks import read_splat_marks, write_splat_marks
+    from prepare.segment.splat_segmentation import output_files, overlay_of, segment_splat, write_segmented
+
+    if options.marks is None:
+        marks = marked_splats(options)
+    else:
+        marks = read_splat_marks(options.marks)
+    start = time.perf_counter()
+    outputs = output_files(options.out, list(marks.marks.objects)).values()
+    if options.capture.resolve() in [path.resolve() for path in outputs]:
+        raise BadInput(f"{options.capture}: would be overwritten; choose another folder for --out")
+    gaussians = read_gaussians(options.capture, show)
+    start_taichi(options.arch)
+    segmented = segment_splat(gaussians, marks, show)
+    files = write_segmented(options.out, segmented)
+    write_splat_marks(options.out / MARKS_FILE, marks)
+    for view, picture in overlay_of(segmented, marks).items():
+        save_picture(options.out / f"{view}.png", picture)
+    written = ", ".join(path.name for path in files.values())
+    print(f"{options.out}: {written}; {segmented.cut} Gaussians cut in two, {time.perf_counter() - start:.1f} s")
+
+
+def marked_splats(options: SegmentOptions) -> SplatMarks:
+    """Marks drawn in a window, starting from those in the output folder, where they are saved.
+
+    Raises BadInput without a display, Cancelled if the user leaves without saving.
+    """
+    from commands.marking import SplatSubject, check_window, edit_of
+    from display.mark.mark_window import marked_in_window
+    from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
+
+    check_window()
+    path = options.out / MARKS_FILE
+    before = read_splat_marks(path) if path.is_file() else SplatMarks()
+    gaussians = read_gaussians(options.capture, show)
+    start_taichi(options.arch)
+    subject = SplatSubject(gaussians, before, None)
+    state = marked_in_window(
+        subject, edit_of(before.marks, before.grow), f"Mark {options.capture.name}", SPLAT_WINDOW_SIZE
+    )
+    marks = subject.marks(state)
+    subject.close()
+    write_splat_marks(path, marks)
+    show(f"{path}: the marks")
+    return marks
+
+
+def show(line: str) -> None:
+    """Print what has been done."""
+    print(f"  {line}", file=sys.stderr, flush=True)

@@ -2,176 +2,199 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
+import json
 import sys
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from assets.file_access import check_writable
-from commands.conditions import Condition
-from commands.options import add_arch, positive
+from assets.file_access import atomic_write, check_writable
+from commands.options import (
+    Arch,
+    Condition,
+    Count,
+    Options,
+    Sort,
+    arch_option,
+    argument,
+    option,
+    reduce_option,
+    seed_option,
+    switch,
+)
 from core.errors import BadInput
 from core.runtime import is_out_of_memory, start_taichi
-from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
-from render import SORTS
+from prepare.train import train_options
+from prepare.train.train_options import CAPS, FAST_STEPS, STEPS
 
-HELP = "train Gaussians on photographs or a video"
-EXAMPLES = (
-    "train fox/ --out fox.ply",
-    "train fox/ --out fox.ply --steps 7000 --report fox.json",
-    "train COLMAP_FOLDER --out room.spz --strategy mcmc --cap 500000",
-    "train fox/ --out small.ply --steps 2000 --reduce 4        on a laptop",
-    "train walk.mp4 --out garden.ply                           needs pycolmap",
-    "train room/ --out room.ply --masks room/masks --split     also a splat for each object",
-)
-CONDITIONS = (
-    Condition(("--fresh",), lambda args: args.checkpoint_every > 0, "belongs to --checkpoint-every N"),
-    Condition(("--split",), lambda args: args.masks != NO_MASKS, "belongs to --masks FOLDER"),
-)
+if TYPE_CHECKING:
+    from prepare.train.capture import Capture
+
 NO_MASKS = Path("none")
 LINE_SECONDS = 0.5  # between two progress lines of a terminal; elsewhere ten times as long
 PREVIEW_SECONDS = 0.2  # [s] of training between two pictures
+TEST_PICTURES = 4  # of the report
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    text = "folder with transforms.json (nerfstudio, instant-ngp) or a COLMAP model, folder of photographs, or a video"
-    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="OUT", help="OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply"
+@dataclass(kw_only=True)
+class TrainOptions(Options):
+    """Options of `train`."""
+
+    EXAMPLES = (
+        "train fox/ --out fox.ply",
+        "train fox/ --out fox.ply --steps 7000 --report fox.json",
+        "train COLMAP_FOLDER --out room.spz --strategy mcmc --cap 500000",
+        "train fox/ --out small.ply --steps 2000 --reduce 4        on a laptop",
+        "train walk.mp4 --out garden.ply                           needs pycolmap",
+        "train room/ --out room.ply --masks room/masks --split     also a splat for each object",
     )
-    text = (
-        f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU; a third with --fast)"
+    CONDITIONS = (
+        Condition(("--fresh",), lambda o: o.checkpoint_every > 0, "belongs to --checkpoint-every N"),
+        Condition(("--split",), lambda o: o.masks != NO_MASKS, "belongs to --masks FOLDER"),
     )
-    parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
-    text = "about the same quality in a third of the time or less: fewer steps, the first ones on smaller pictures"
-    parser.add_argument("--fast", action="store_true", help=text)
-    text = "default: adds Gaussians where detail is missing; mcmc: always uses the whole budget of --cap"
-    parser.add_argument("--strategy", choices=("default", "mcmc"), default="default", help=text)
-    text = f"upper limit of Gaussians (default {CAPS['cuda']:,} on a GPU, {CAPS['cpu']:,} on a CPU)"
-    parser.add_argument("--cap", type=positive(int), metavar="N", help=text)
-    text = "degree of the spherical harmonics, 0 to 3 (default 3)"
-    parser.add_argument("--degree", type=int, choices=range(4), default=3, metavar="D", help=text)
-    parser.add_argument("--antialias", action="store_true", help="train for anti-aliased rendering (Mip-Splatting)")
-    text = "also estimate the exposure and colour balance of each photograph, for captures with automatic exposure"
-    parser.add_argument("--exposure", action="store_true", help=text)
-    text = "also correct the poses, by fractions of a degree"
-    parser.add_argument("--refine-poses", action="store_true", help=text)
-    text = "order of blending that is trained for (default radial; pixel: along each pixel's ray, trains slower)"
-    parser.add_argument("--sort", choices=SORTS, default="radial", help=text)
-    parser.add_argument(
-        "--reduce", type=positive(int), default=1, metavar="N", help="divide width and height of the photographs by N"
+
+    capture: Path = argument(
+        "CAPTURE",
+        "folder with transforms.json (nerfstudio, instant-ngp) or a COLMAP model, folder of photographs, or a video",
     )
-    text = "object masks, one colour per object, from which each Gaussian learns its object; none: ignore them"
-    parser.add_argument("--masks", type=Path, metavar="FOLDER", help=f"{text} (default: CAPTURE/masks)")
-    text = "also write a splat of each object and of the background, beside OUT"
-    parser.add_argument("--split", action="store_true", help=text)
-    text = "hold out every Nth photograph for testing; 0: none (default 8)"
-    parser.add_argument("--test-every", type=int, default=8, metavar="N", help=text)
-    text = "write the results as JSON, and a page with pictures beside it"
-    parser.add_argument("--report", type=Path, metavar="R.json", help=text)
-    text = "steps between checkpoints, from which an interrupted training resumes; 0: none (default 1000)"
-    parser.add_argument("--checkpoint-every", type=int, default=1000, metavar="N", help=text)
-    parser.add_argument("--fresh", action="store_true", help="ignore a checkpoint and start over")
-    parser.add_argument("--preview", action="store_true", help="show the Gaussians in a window during training")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
-    add_arch(parser)
+    out: Path = option("OUT", "OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply", required=True)
+    steps: Count | None = option(
+        "N",
+        f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU; a third with --fast)",
+    )
+    fast: bool = switch(
+        "about the same quality in a third of the time or less: fewer steps, the first ones on smaller pictures"
+    )
+    strategy: Literal["default", "mcmc"] = option(
+        None,
+        "default: adds Gaussians where detail is missing; mcmc: always uses the whole budget of --cap",
+        "default",
+    )
+    cap: Count | None = option(
+        "N", f"upper limit of Gaussians (default {CAPS['cuda']:,} on a GPU, {CAPS['cpu']:,} on a CPU)"
+    )
+    degree: Literal[0, 1, 2, 3] = option("D", "degree of the spherical harmonics, 0 to 3 (default 3)", 3)
+    antialias: bool = switch("train for anti-aliased rendering (Mip-Splatting)")
+    exposure: bool = switch(
+        "also estimate the exposure and colour balance of each photograph, for captures with automatic exposure"
+    )
+    refine_poses: bool = switch("also correct the poses, by fractions of a degree")
+    sort: Sort = option(
+        None,
+        "order of blending that is trained for (default radial; pixel: along each pixel's ray, trains slower)",
+        "radial",
+    )
+    reduce: Count = reduce_option("the photographs")
+    masks: Path | None = option(
+        "FOLDER",
+        "object masks, one colour per object, from which each Gaussian learns its object; none: ignore them "
+        "(default: CAPTURE/masks)",
+    )
+    split: bool = switch("also write a splat of each object and of the background, beside OUT")
+    test_every: int = option("N", "hold out every Nth photograph for testing; 0: none (default 8)", 8)
+    report: Path | None = option("R.json", "write the results as JSON, and a page with pictures beside it")
+    checkpoint_every: int = option(
+        "N", "steps between checkpoints, from which an interrupted training resumes; 0: none (default 1000)", 1000
+    )
+    fresh: bool = switch("ignore a checkpoint and start over")
+    preview: bool = switch("show the Gaussians in a window during training")
+    seed: int = seed_option()
+    arch: Arch | None = arch_option()
 
 
-def run(args: argparse.Namespace, capture=None) -> None:
-    """Train, test, and write the Gaussians; `capture` is that of `args` if it has been read. Raises BadInput."""
+def train(options: TrainOptions, capture: Capture | None = None) -> None:
+    """Train, test, and write the Gaussians; `capture` is that of the options if it has been read. Raises BadInput."""
     from assets.splat_files import kind_to_write, write_gaussians
-    from commands.training_report import write_report
     from prepare.segment.object_ids import identified
     from prepare.train.photographs import kept_for_test, load_photographs
 
-    kind_to_write(args.out)
-    for file in filter(None, (args.out, args.report)):
+    kind_to_write(options.out)
+    for file in filter(None, (options.out, options.report)):
         check_writable(file)
-    if args.checkpoint_every < 0:
+    if options.checkpoint_every < 0:
         raise BadInput("--checkpoint-every is 0 or more")
-    if args.preview:
+    if options.preview:
         from display.window.gl_window import has_display
 
         if not has_display():
             raise BadInput("--preview: no display to open a window on")
-    capture, masks = _with_masks(args, (capture or posed_capture(args)).upright())
-    kept_for_test(capture.views, args.test_every)  # refused before all photographs are loaded
+    capture, masks = _with_masks(options, (capture or posed_capture(options)).upright())
+    kept_for_test(capture.views, options.test_every)  # refused before all photographs are loaded
 
     def tell(count: int) -> None:
         _tell(f"photographs {count}/{len(capture.views)}", end=count == len(capture.views))
 
-    photographs = load_photographs(capture.views, args.reduce, masks.ids if masks else None, progress=tell)
-    train, test = kept_for_test(photographs, args.test_every)
-    start_taichi(args.arch)
+    photographs = load_photographs(capture.views, options.reduce, masks.ids if masks else None, progress=tell)
+    train, test = kept_for_test(photographs, options.test_every)
+    start_taichi(options.arch)
     print(_photographs(train), file=sys.stderr)
-    if args.test_every and not test:
-        print(f"none is held out for testing: fewer than {args.test_every} (--test-every)", file=sys.stderr)
-    with _lowering(train, args):
-        trainer, about, progress = _trained(args, capture, train, masks.names if masks else [])
+    if options.test_every and not test:
+        print(f"none is held out for testing: fewer than {options.test_every} (--test-every)", file=sys.stderr)
+    with _lowering(train, options):
+        trainer, about, progress = _trained(options, capture, train, masks.names if masks else [])
     seconds = progress.seconds
     qualities = [trainer.quality(p) for p in test]
     gaussians = identified(trainer) if masks else trainer.gaussians()
-    write_gaussians(args.out, gaussians, _say)
-    _checkpoint(args).unlink(missing_ok=True)
+    write_gaussians(options.out, gaussians, _say)
+    _checkpoint(options).unlink(missing_ok=True)
     numbers = {"gaussians": len(gaussians), "seconds": seconds, "steps": trainer.done, "views": len(train)}
     numbers |= {"test_views": len(test), "options": about, "curve": progress.curve}
-    line = f"{args.out}: {len(gaussians)} Gaussians, {trainer.done} steps in {seconds:.0f} s"
+    line = f"{options.out}: {len(gaussians)} Gaussians, {trainer.done} steps in {seconds:.0f} s"
     if qualities:
         mean = {name: float(np.mean([asdict(q)[name] for q in qualities])) for name in asdict(qualities[0])}
         numbers["test"] = mean
         line += f"; {len(test)} held-out photographs: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.3f}"
     print(line)
     if masks:
-        numbers["objects"] = _objects(args, trainer, test, gaussians)
-    if args.report:
-        write_report(args.report, numbers, trainer, test, qualities, masks and (masks.colors, gaussians.object_id))
+        numbers["objects"] = _objects(options, trainer, test, gaussians)
+    if options.report:
+        write_report(options.report, numbers, trainer, test, qualities, masks and (masks.colors, gaussians.object_id))
 
 
-def _trained(args: argparse.Namespace, capture, train: list, objects: list[str]) -> tuple:
+def _trained(options: TrainOptions, capture, train: list, objects: list[str]) -> tuple:
     """The trainer after its last step, its options, and its progress."""
-    trainer, about = _trainer(args, capture, train, objects)
-    kept = _checkpoint(args)
-    if args.checkpoint_every and kept.is_file() and not args.fresh:
+    trainer, about = _trainer(options, capture, train, objects)
+    kept = _checkpoint(options)
+    if options.checkpoint_every and kept.is_file() and not options.fresh:
         from prepare.train.trainer import read_checkpoint
 
         trainer.restore(read_checkpoint(kept, about, len(train)))
         print(f"resuming from step {trainer.done} ({kept}; --fresh starts over)", file=sys.stderr)
-    progress = _Progress(trainer, kept if args.checkpoint_every else None, args.checkpoint_every, about)
-    if args.preview:
-        _preview(args, capture, trainer, progress)
+    progress = _Progress(trainer, kept if options.checkpoint_every else None, options.checkpoint_every, about)
+    if options.preview:
+        _preview(options, capture, trainer, progress)
     while trainer.done < trainer.options.steps:
         progress.step()
     return trainer, about, progress
 
 
-def _checkpoint(args: argparse.Namespace) -> Path:
+def _checkpoint(options: TrainOptions) -> Path:
     """Path of the checkpoint from which an interrupted training resumes."""
-    return args.out.with_name(f"{args.out.name}.checkpoint.h5")
+    return options.out.with_name(f"{options.out.name}.checkpoint.h5")
 
 
-def _with_masks(args: argparse.Namespace, capture):
+def _with_masks(options: TrainOptions, capture):
     """The capture and the masks of its objects, or None; files that --split will write are checked."""
     from prepare.segment.object_ids import BACKGROUND, masks_of, part_file
 
-    if args.masks == NO_MASKS:
+    if options.masks == NO_MASKS:
         return capture, None
-    capture, masks = masks_of(capture, args.masks, _say)
-    if masks is None and args.split:
+    capture, masks = masks_of(capture, options.masks, _say)
+    if masks is None and options.split:
         raise BadInput(f"--split: there are no masks of objects in {capture.folder / 'masks'}; give them with --masks")
-    if masks is not None and args.split:
+    if masks is not None and options.split:
         if BACKGROUND in masks.names:
             raise BadInput(f"--split: an object may not be called {BACKGROUND!r}")
         for name in (*masks.names, BACKGROUND):
-            check_writable(part_file(args.out, name))
+            check_writable(part_file(options.out, name))
     return capture, masks
 
 
-def _objects(args: argparse.Namespace, trainer, test: list, gaussians) -> dict:
+def _objects(options: TrainOptions, trainer, test: list, gaussians) -> dict:
     """Numbers of each object, printed; with --split their splats are written."""
     from assets.splat_files import write_gaussians
     from prepare.segment.object_ids import BACKGROUND, object_ious, part_file, split
@@ -185,11 +208,11 @@ def _objects(args: argparse.Namespace, trainer, test: list, gaussians) -> dict:
             number["iou"] = ious[name]
             line += f", IoU {ious[name]:.3f} with the masks of held-out photographs"
         print(line)
-    if args.split:
+    if options.split:
         parts = split(gaussians)
         for name, part in parts.items():
-            write_gaussians(part_file(args.out, name), part, lambda line: None)  # said of the whole
-            print(f"{part_file(args.out, name)}: {len(part)} Gaussians")
+            write_gaussians(part_file(options.out, name), part, lambda line: None)  # said of the whole
+            print(f"{part_file(options.out, name)}: {len(part)} Gaussians")
         for name in (*numbers, BACKGROUND):
             if name not in parts:
                 print(f"{name}: no Gaussians, no file")
@@ -207,12 +230,12 @@ def is_posed(path: Path) -> bool:
     return posed or not photographs_in(image_folder(path))
 
 
-def posed_capture(args: argparse.Namespace):
+def posed_capture(options: TrainOptions):
     """The capture; for photographs or a video without poses these are found first, and kept beside the output."""
     from prepare.train.capture_files import checked, read_capture, read_colmap
     from prepare.train.structure_from_motion import find_poses, image_folder, photographs_in, sharpest_frames
 
-    path, beside = args.capture, args.out.with_name(f"{args.out.name}.poses")
+    path, beside = options.capture, options.out.with_name(f"{options.out.name}.poses")
     if is_posed(path):
         return read_capture(path)
     video = path.is_file()
@@ -228,7 +251,7 @@ def posed_capture(args: argparse.Namespace):
     return checked(read_colmap(model, folder))
 
 
-def _trainer(args: argparse.Namespace, capture, train: list, objects: list[str]):
+def _trainer(options: TrainOptions, capture, train: list, objects: list[str]):
     """The trainer at its start, and all options that its steps depend on."""
     import taichi as ti
 
@@ -237,31 +260,45 @@ def _trainer(args: argparse.Namespace, capture, train: list, objects: list[str])
     from prepare.train.trainer import Trainer
 
     arch = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
-    steps, cap = args.steps or (FAST_STEPS if args.fast else STEPS)[arch], args.cap or CAPS[arch]
-    options = TrainOptions(steps, args.strategy, cap, args.degree, args.antialias, args.sort, args.seed)
-    options = replace(options, exposure=args.exposure, poses=args.refine_poses)
-    options = fast(options) if args.fast else options
-    about = {**asdict(options), "capture": str(args.capture), "reduce": args.reduce, "test_every": args.test_every}
+    steps, cap = options.steps or (FAST_STEPS if options.fast else STEPS)[arch], options.cap or CAPS[arch]
+    how = train_options.TrainOptions(
+        steps=steps,
+        strategy=options.strategy,
+        cap=cap,
+        degree=options.degree,
+        antialias=options.antialias,
+        sort=options.sort,
+        seed=options.seed,
+        exposure=options.exposure,
+        poses=options.refine_poses,
+    )
+    how = train_options.fast(how) if options.fast else how
+    about = {
+        **asdict(how),
+        "capture": str(options.capture),
+        "reduce": options.reduce,
+        "test_every": options.test_every,
+    }
     if objects:
         check_learned(objects, train)
-        about |= {"masks": str(args.masks), "objects": objects}
+        about |= {"masks": str(options.masks), "objects": objects}
     count = first_count(capture, cap)
-    rng = np.random.default_rng(args.seed)
-    start = seeds(with_background(capture, train, rng), degree=args.degree, count=count, rng=rng)
+    rng = np.random.default_rng(options.seed)
+    start = seeds(with_background(capture, train, rng), degree=options.degree, count=count, rng=rng)
     if len(capture.points) == 0:
         print(f"the capture has no points: starting with {len(start)} random Gaussians", file=sys.stderr)
-    return Trainer(train, start, capture.extent, options, objects), about
+    return Trainer(train, start, capture.extent, how, objects), about
 
 
 @contextlib.contextmanager
-def _lowering(train: list, args: argparse.Namespace):
+def _lowering(train: list, options: TrainOptions):
     """If memory runs out inside, raise BadInput that says which options to lower."""
     try:
         yield
     except (MemoryError, RuntimeError) as e:
         if not is_out_of_memory(e):
             raise
-        text = f"not enough memory: {_photographs(train)}; --reduce {2 * args.reduce} takes a quarter of that,"
+        text = f"not enough memory: {_photographs(train)}; --reduce {2 * options.reduce} takes a quarter of that,"
         raise BadInput(f"{text} and a smaller --cap limits the Gaussians") from e
 
 
@@ -316,7 +353,7 @@ class _Progress:
             write_checkpoint(self._kept, trainer.state(), self._about)
 
 
-def _preview(args: argparse.Namespace, capture, trainer, progress: _Progress) -> None:
+def _preview(options: TrainOptions, capture, trainer, progress: _Progress) -> None:
     """Show the Gaussians in a window while they are trained, until the window is closed or the training ends."""
     from display.viewed_file import BACKGROUND
     from display.viewer import TrainingWorld
@@ -334,7 +371,7 @@ def _preview(args: argparse.Namespace, capture, trainer, progress: _Progress) ->
             progress.step()
         return progress.text
 
-    with Window(scene, title=f"VR-GS: training {args.capture.name}", width=None, height=None) as window:
+    with Window(scene, title=f"VR-GS: training {options.capture.name}", width=None, height=None) as window:
         options = trainer.options
         viewer = TrainingWorld(
             trainer.population.splats, scene, advance, size=window.size, sort=options.sort, antialias=options.antialias
@@ -358,3 +395,59 @@ def _tell(text: str, *, end: bool) -> None:
 def _say(text: str) -> None:
     """Show a line of its own."""
     print(text, file=sys.stderr, flush=True)
+
+
+def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list, objects=None) -> None:
+    """Write the numbers, and a page with held-out photographs beside their renderings.
+
+    objects  (colours of the masks (K, 3) uint8, ids of the Gaussians): also shows masks beside the Gaussians' objects
+    """
+    from core.report import Section, Table, html_page
+
+    said = _perceptual(numbers, trainer, test)
+    with atomic_write(path) as beside:
+        beside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    sections = []
+    for k in np.linspace(0, len(test) - 1, min(TEST_PICTURES, len(test))).round().astype(int):
+        q, drawn = qualities[k], trainer.picture(test[k].camera)
+        pictures = {"photograph": test[k].pixels, "drawn": drawn}
+        if objects is not None and test[k].objects is not None:
+            colors = np.concatenate([np.zeros((1, 3), np.uint8), objects[0]])
+            pictures["mask"] = np.where(test[k].mask[..., None], colors[test[k].objects], 0).astype(np.uint8)
+            pictures["objects of the Gaussians"] = colors[trainer.seen_objects(test[k].camera, objects[1])]
+        sections.append(Section(f"Unseen view {k + 1}", f"PSNR {q.psnr:.2f} dB, SSIM {q.ssim:.3f}", pictures))
+    rows = [(str(c["step"]), f"{c['loss']:.4f}", f"{c['psnr']:.2f}", str(c["gaussians"])) for c in numbers["curve"]]
+    rows = rows[:: max(1, len(rows) // 40)]
+    table = Table(("step", "loss", "PSNR [dB]", "Gaussians"), rows)
+    sections.append(Section("Training", "Means over the photographs since the row before.", table=table))
+    if "objects" in numbers:
+        rows = [
+            (name, str(n["gaussians"]), f"{n['iou']:.3f}" if "iou" in n else "-")
+            for name, n in numbers["objects"].items()
+        ]
+        table = Table(("object", "Gaussians", "IoU"), rows)
+        text = "Intersection over union of masks and what the Gaussians show, over all held-out photographs."
+        sections.append(Section("Objects", text, table=table))
+    text = f"{numbers['gaussians']} Gaussians from {numbers['views']} photographs. {said}"
+    page = html_page("Training", text, sections)
+    with atomic_write(path.with_suffix(".html")) as beside:
+        beside.write_text(page, encoding="utf-8")
+
+
+def _perceptual(numbers: dict, trainer, test: list) -> str:
+    """Add the mean LPIPS of the held-out photographs to the numbers; returns a sentence about it."""
+    from prepare.train.image_loss import SIDE_MIN, lpips_distance
+
+    if not test:
+        return ""
+    if min(min(p.mask.shape) for p in test) < SIDE_MIN:
+        return f"No LPIPS of photographs with sides below {SIDE_MIN} pixels."
+    distance, why_not = lpips_distance()
+    if distance is None:
+        return f"{why_not}."
+    found = []
+    for photograph in test:
+        drawn = np.where(photograph.mask[..., None], trainer.picture(photograph.camera), photograph.pixels)
+        found.append(distance(drawn, photograph.pixels))
+    numbers["test"]["lpips"] = float(np.mean(found))
+    return f"LPIPS of held-out photographs: {numbers['test']['lpips']:.3f}."

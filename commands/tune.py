@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,60 +11,58 @@ import numpy as np
 from assets.asset import Asset
 from assets.file_access import check_writable
 from assets.library import default_material, find_asset
-from commands.conditions import Condition
-from commands.options import add_arch, positive
+from commands.options import Amount, Arch, Condition, Count, Options, Preparation, arch_option, argument, option
 from commands.prepared import cached_body, is_asset
 from core.errors import BadInput
 from core.material import Material
 from core.runtime import start_taichi
 
-HELP = "drop a body with one stiffness after another: what each does, as a table and a strip of pictures"
-EXAMPLES = ("tune cat.h5 --from 3e3 --to 3e5 --out cat_tune.png",)
-CONDITIONS = (
-    Condition(("--from", "--to", "--steps"), lambda args: not args.young, "is for moduli that --young does not list"),
-)
 DROP_HEIGHT_MIN = 0.1  # [m], without --height
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("asset", metavar="ASSET", help="a prepared asset, a shipped one by name, or a splat file")
-    young = {"type": positive(float), "metavar": "E"}
-    parser.add_argument("--young", nargs="+", **young, help="Young's moduli to try [Pa]")
-    parser.add_argument(
-        "--from", dest="lowest", default=1e3, **young, help="without --young: lowest modulus (default 1e3)"
+@dataclass(kw_only=True)
+class TuneOptions(Options):
+    """Options of `tune`."""
+
+    EXAMPLES = ("tune cat.h5 --from 3e3 --to 3e5 --out cat_tune.png",)
+    CONDITIONS = (
+        Condition(("--from", "--to", "--steps"), lambda o: not o.young, "is for moduli that --young does not list"),
     )
-    parser.add_argument("--to", dest="highest", default=1e6, **young, help="highest modulus (default 1e6)")
-    parser.add_argument("--steps", type=positive(int), default=6, metavar="N", help="number of moduli (default 6)")
-    text = "material whose modulus is varied (default: the asset's; see: vrgs.py materials)"
-    parser.add_argument("--material", metavar="NAME", help=text)
-    text = f"height of the drop (default: half the body's, at least {DROP_HEIGHT_MIN})"
-    parser.add_argument("--height", type=positive(float), metavar="M", help=text)
-    parser.add_argument("--out", type=Path, metavar="STRIP.png", help="strip of pictures (default: ASSET_tune.png)")
-    parser.add_argument("--json", type=Path, metavar="OUT.json", help="write the table")
-    add_arch(parser)
+
+    asset: str = argument("ASSET", "a prepared asset, a shipped one by name, or a splat file")
+    young: list[Amount] | None = option("E", "Young's moduli to try [Pa]")
+    lowest: Amount = option("E", "without --young: lowest modulus (default 1e3)", 1e3, flag="--from")
+    highest: Amount = option("E", "highest modulus (default 1e6)", 1e6, flag="--to")
+    steps: Count = option("N", "number of moduli (default 6)", 6)
+    material: str | None = option(
+        "NAME", "material whose modulus is varied (default: the asset's; see: vrgs.py materials)"
+    )
+    height: Amount | None = option("M", f"height of the drop (default: half the body's, at least {DROP_HEIGHT_MIN})")
+    out: Path | None = option("STRIP.png", "strip of pictures (default: ASSET_tune.png)")
+    json: Path | None = option("OUT.json", "write the table")
+    arch: Arch | None = arch_option()
 
 
-def run(args: argparse.Namespace) -> None:
+def tune(options: TuneOptions) -> None:
     """Print the table and write the strip. Raises BadInput."""
-    start_taichi(args.arch)
+    start_taichi(options.arch)
     from display.headless.stiffness_sweep import drop_each, strip
     from display.picture import save_picture
     from display.timing import write_stats
 
-    path, name = find_asset(args.asset), Path(args.asset).stem
-    if not is_asset(args.asset):
-        path = cached_body(path, args)
+    path, name = find_asset(options.asset), Path(options.asset).stem
+    if not is_asset(options.asset):
+        path, _ = cached_body(path, Preparation(), options.arch)
     asset = Asset.load(path)
     if asset.cage is None:
-        raise BadInput(f"{args.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
-    youngs = args.young or np.geomspace(args.lowest, args.highest, args.steps).tolist()
-    out = args.out or Path(f"{name}_tune.png")
-    for file in filter(None, (out, args.json)):
+        raise BadInput(f"{options.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
+    youngs = options.young or np.geomspace(options.lowest, options.highest, options.steps).tolist()
+    out = options.out or Path(f"{name}_tune.png")
+    for file in filter(None, (out, options.json)):
         check_writable(file)
-    material = Material.named(args.material) if args.material else default_material(str(path))
+    material = Material.named(options.material) if options.material else default_material(str(path))
     height = np.ptp(asset.cage.vertices[:, 1])
-    drop_height = args.height or float(max(DROP_HEIGHT_MIN, 0.5 * height))
+    drop_height = options.height or float(max(DROP_HEIGHT_MIN, 0.5 * height))
     drops = []
     print(f"{name}, {100 * height:.1f} cm high, dropped from {drop_height:.2f} m")
     print(f"{'young [Pa]':>10} {'compression':>12} {'rebound':>10} {'settled':>9} {'substeps':>9} {'dt [s]':>10}  path")
@@ -77,6 +75,6 @@ def run(args: argparse.Namespace) -> None:
         )
         drops.append(d)
     save_picture(out, strip(name, drops, drop_height))
-    if args.json:
-        write_stats(args.json, [d.row() for d in drops])
+    if options.json:
+        write_stats(options.json, [d.row() for d in drops])
     print(f"wrote {out}", file=sys.stderr)

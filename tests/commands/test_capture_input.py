@@ -1,6 +1,5 @@
 """Photographs of `vrgs.py capture`: objects are asked for, or refused, before poses are found."""
 
-import argparse
 import shutil
 import sys
 from types import SimpleNamespace
@@ -11,6 +10,7 @@ import pytest
 
 from commands import capture_input
 from commands.capture_input import capture_key, check_can_ask, marks_in, photographed, stages_before
+from commands.capture_room import CaptureOptions
 from core.errors import BadInput
 from prepare.room_capture.stages import Stages
 from prepare.segment.marks import Marks, ViewMarks, write_marks
@@ -66,9 +66,9 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr("display.window.gl_window.has_display", lambda: True)
 
     def go(path, **options):
-        args = {"capture": path, "out": tmp_path / "room", "marks": None, "masks": None, "no_objects": False}
+        wanted = CaptureOptions(capture=path, out=tmp_path / "room", **options)
         stages = Stages(tmp_path / "room" / "work", (*stages_before(path), "train"))
-        return photographed(argparse.Namespace(**args | options), stages, done.append, lambda views: None)
+        return photographed(wanted, stages, done.append, lambda views: None)
 
     return SimpleNamespace(of=go, done=done)
 

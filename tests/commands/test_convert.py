@@ -1,7 +1,6 @@
 """`vrgs.py convert`: what it writes, what it says was lost, and what it refuses."""
 
 import re
-from argparse import Namespace
 
 import numpy as np
 import pytest
@@ -9,7 +8,8 @@ import pytest
 from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
-from commands.convert import run
+from commands.convert import ConvertOptions
+from commands.convert import convert as run_convert
 from core.errors import BadInput
 from tests.support.samples import FIELDS, some_gaussians
 from tests.support.splat_encoders import ksplat_bytes, sog_files, zipped
@@ -17,7 +17,7 @@ from tests.support.splat_encoders import ksplat_bytes, sog_files, zipped
 
 def convert(source, target, capsys) -> str:
     """Run the command; the lines that it printed."""
-    run(Namespace(input=str(source), output=str(target)))
+    run_convert(ConvertOptions(input=source, output=target))
     return capsys.readouterr().out
 
 
@@ -85,7 +85,7 @@ def test_all_that_is_read_converts_to_all_that_is_written(tmp_path, capsys, kind
 def test_progress_of_long_work_goes_to_stderr(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("commands.convert.PROGRESS_SIZE_MIN", 1)
     write_gaussians(tmp_path / "a.ply", some_gaussians(5))
-    run(Namespace(input=str(tmp_path / "a.ply"), output=str(tmp_path / "a.spz")))
+    run_convert(ConvertOptions(input=tmp_path / "a.ply", output=tmp_path / "a.spz"))
     out, err = capsys.readouterr()
     assert out.count("\n") == 1 and all(word in err for word in ("1/3 reading", "2/3 writing 5", "3/3"))
 
@@ -117,6 +117,6 @@ def test_refusals_leave_everything_as_it_was(tmp_path, capsys):
         ("a.ply", "none/b.ply", "does not exist"),
     ):
         with pytest.raises(BadInput, match=reason):
-            run(Namespace(input=str(tmp_path / source), output=str(tmp_path / target)))
+            run_convert(ConvertOptions(input=tmp_path / source, output=tmp_path / target))
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
     assert capsys.readouterr().out == ""

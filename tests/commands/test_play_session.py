@@ -2,16 +2,17 @@
 
 import sys
 import time
-from argparse import Namespace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-import commands.background as background
 import commands.play_session as play_session
 from assets.asset import Asset
-from commands.opening import Opening, opened_args
+from assets.splat_files import write_gaussians
+from commands import opening
+from commands.opening import Opening, opened_options
+from commands.play import PlayOptions
 from core.errors import BadInput, Cancelled
 from core.vocabulary import Body
 from display.preferences import Preferences
@@ -20,6 +21,7 @@ from display.user_commands import AddBody, CancelOpening, Measure, OpenScene, Pa
 from sim.model import CapacityError
 from tests.support.fake_view import FakeView
 from tests.support.leaning_room import leaning_room
+from tests.support.shells import ball
 
 
 class NamedScene(str):
@@ -91,17 +93,15 @@ def session(monkeypatch):
 
     def begin(*script, **outputs):
         kinds = dict.fromkeys(("film", "recording", "study", "sound")) | {"keeper": SimpleNamespace(scene="")} | outputs
-        args = Namespace(scene="one", options=None, body=None, stage=None, material=None, frames=None, headless=False)
-        vars(args).update(arch="cpu", seed=0, scale=None, up=None, vertices=None, cells="adaptive", pieces=False)
         return play_session.Session(
-            args, NamedScene("one"), ScriptedDisplay(*script), play_session.Outputs(**kinds), replay=None, load=load,
-            title=lambda args: args.scene, options={}, preferences=Preferences(),
+            PlayOptions(scene="one", arch="cpu"), NamedScene("one"), ScriptedDisplay(*script),
+            play_session.Outputs(**kinds), replay=None, load=load, world_options={}, preferences=Preferences(),
         )  # fmt: skip
 
-    def load(args):
-        if args.scene == "broken":
+    def load(options):
+        if options.scene == "broken":
             raise BadInput("broken: cannot be read")
-        return NamedScene(args.scene if args.stage is None else f"{args.scene} in {args.stage}")
+        return NamedScene(options.scene if options.stage is None else f"{options.scene} in {options.stage}")
 
     monkeypatch.setattr("display.record.recording.about_play", lambda args, options: {})
     monkeypatch.setattr("display.world.World", EmptyWorld)
@@ -125,7 +125,7 @@ def test_the_world_is_replaced_and_the_display_stays(session):
     frames = [(play.world.scene, [type(c) for c in frame.commands]) for frame in play.frames()]
     assert frames == [("one", [Pause]), ("one", []), ("two", []), ("two in barn", []), ("two in barn", [])]
     assert play.display.shown == ["two", "two in barn"] and first.closed and not play.world.closed
-    assert play.keeper.scene == play.args.scene == "two" and play.args.stage == "barn"
+    assert play.keeper.scene == play.options.scene == "two" and play.options.stage == "barn"
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_the_world_is_replaced_and_the_display_stays(session):
 def test_where_a_scene_cannot_be_opened_the_present_one_plays_on(name, said, session):
     play = session([OpenScene(name)], [])
     first, *_, last = worlds_of(play)
-    assert last.scene == "one" and last.told == [said] and play.args.scene == "one"
+    assert last.scene == "one" and last.told == [said] and play.options.scene == "one"
     if name != "broken":  # the first world was gone by then
         assert last is not first and last.adopted == "state of one"
 
@@ -190,25 +190,39 @@ def test_what_belongs_to_one_scene_keeps_it(output, session):
 
 
 def test_a_scene_file_is_opened_only_if_the_command_line_named_it():
-    args = Namespace(scene="mine.py", options=None)
-    assert opened_args(OpenScene("mine.py"), args).scene == "mine.py"
+    options = PlayOptions(scene="mine.py")
+    assert opened_options(OpenScene("mine.py"), options).scene == "mine.py"
     with pytest.raises(BadInput, match=r"no scene named 'evil\.py'"):
-        opened_args(OpenScene("evil.py"), args)
+        opened_options(OpenScene("evil.py"), options)
 
 
 @pytest.fixture
 def preparing(monkeypatch, tmp_path):
-    """An opening of a splat that a small program stands in for."""
-    monkeypatch.setattr("commands.opening.is_prepared", lambda path, args, room: False)
-    monkeypatch.setattr(background, "device_options", lambda: [])
+    """An opening of a splat, which a function of this module prepares."""
+    monkeypatch.setattr("commands.opening.is_prepared", lambda path, options, room: False)
+    monkeypatch.setattr(opening, "playing_arch", lambda: "cpu")
 
-    def begin(code):
-        monkeypatch.setattr(background, "program", lambda: [sys.executable, "-c", code])
+    def begin(function):
+        monkeypatch.setattr(opening, "prepare_into_cache", function)
         splat = tmp_path / "cat.ply"
         splat.write_bytes(b"ply")
-        return Opening(AddBody(str(splat)), Namespace(body=None, stage=None))
+        return Opening(AddBody(str(splat)), PlayOptions())
 
     return begin
+
+
+def hollow(path, room, arch, reports) -> None:
+    reports.send(("step", "orient", 0.25))
+    time.sleep(1.0)
+    reports.send(("problem", "cat.ply: is hollow"))
+
+
+def endless(path, room, arch, reports) -> None:
+    time.sleep(600)
+
+
+def broken(path, room, arch, reports) -> None:
+    sys.exit(3)
 
 
 def until(condition, seconds: float = 20.0) -> None:
@@ -219,26 +233,37 @@ def until(condition, seconds: float = 20.0) -> None:
 
 
 def test_a_preparation_tells_its_progress_and_why_it_failed(preparing):
-    opening = preparing(
-        "import sys, time\n"
-        "print('  2/7 orient     0.1 s', file=sys.stderr, flush=True)\n"
-        "time.sleep(1.0)\n"
-        "print('vrgs: cat.ply: is hollow', file=sys.stderr)\n"
-        "sys.exit(2)"
-    )
-    assert not opening.poll()
-    until(lambda: opening.poll() or "step 2 of 7" in opening.text)
-    assert opening.text.startswith("Preparing cat.ply: step 2 of 7")
+    request = preparing(hollow)
+    assert not request.poll()
+    until(lambda: request.poll() or "orient 25%" in request.text)
+    assert request.text.startswith("Preparing cat.ply: orient 25%, ")
     with pytest.raises(BadInput, match=r"^cat\.ply: is hollow$"):
-        until(opening.poll)
+        until(request.poll)
+
+
+def test_a_preparation_that_ends_without_a_word_has_failed(preparing):
+    request = preparing(broken)
+    with pytest.raises(BadInput, match="ended abnormally"):
+        until(request.poll)
 
 
 def test_a_preparation_that_is_cancelled_ends_at_once(preparing):
-    opening = preparing("import time; time.sleep(600)")
-    assert not opening.poll()
-    process = opening._now._process
-    opening.close()
-    assert process.poll() is not None
+    request = preparing(endless)
+    assert not request.poll()
+    process = request._now._process
+    request.close()
+    assert process.exitcode is not None
+
+
+def test_a_file_is_prepared_into_the_cache_by_a_process(tmp_path, monkeypatch):
+    """The real one: a ball, with its progress; then it is found there."""
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(opening, "playing_arch", lambda: "cpu")
+    monkeypatch.setattr(opening, "is_prepared", lambda path, options, room: False)
+    write_gaussians(tmp_path / "ball.ply", ball(800))
+    request, said = Opening(AddBody(str(tmp_path / "ball.ply")), PlayOptions(arch="cpu")), set()
+    until(lambda: request.poll() or said.add(request.text), 120.0)
+    assert any("%, " in line for line in said) and list((tmp_path / "cache").rglob("*.h5"))
 
 
 def test_cancelling_gives_up_what_waits(session):

@@ -2,7 +2,6 @@
 
 import json
 import re
-from argparse import Namespace
 
 import cv2
 import numpy as np
@@ -14,7 +13,7 @@ from tests.support.hard_pictures import round_ones
 
 
 def test_the_command_writes_pictures_and_arrays(ti_cpu, tmp_path):
-    from commands.render import draw_pictures
+    from commands.render import RenderOptions, draw_pictures
 
     write_gaussians(tmp_path / "g.ply", round_ones((0.0, 0.0, 1.0)))
     view = {"width": 16, "height": 8, "fx": 20, "fy": 20, "cx": 8, "cy": 4, "world_to_camera": np.eye(4).tolist()}
@@ -22,8 +21,7 @@ def test_the_command_writes_pictures_and_arrays(ti_cpu, tmp_path):
     (tmp_path / "two.json").write_text(json.dumps([view, view]))
 
     def command(camera, out):
-        given = {"splats": tmp_path / "g.ply", "camera": tmp_path / camera, "out": tmp_path / out}
-        draw_pictures(Namespace(**given, antialias=False, sort="z"))
+        draw_pictures(RenderOptions(splats=tmp_path / "g.ply", camera=tmp_path / camera, out=tmp_path / out, sort="z"))
 
     command("two.json", "a.npz")
     arrays = np.load(tmp_path / "a.npz")

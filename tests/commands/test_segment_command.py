@@ -23,8 +23,8 @@ def folder(tmp_path_factory):
 
 
 def run(words: str) -> None:
-    args = parse(words.split(), "", print)
-    args.run(args)
+    command, options = parse(words.split())
+    command(options)
 
 
 def test_masks_and_a_sheet_are_written(tmp_path, folder, capsys):

@@ -111,9 +111,7 @@ def test_without_a_display_marks_come_from_a_file(tmp_path, monkeypatch):
 
 
 def test_a_window_that_is_left_leaves_no_folder(tmp_path, monkeypatch):
-    from types import SimpleNamespace
-
-    from commands import splat_objects
+    from commands import segment
     from core.errors import Cancelled
 
     def left(*_):
@@ -123,12 +121,11 @@ def test_a_window_that_is_left_leaves_no_folder(tmp_path, monkeypatch):
     monkeypatch.setattr("commands.marking.SplatSubject", lambda *_: None)
     monkeypatch.setattr("display.mark.mark_window.marked_in_window", left)
     for name in ("read_gaussians", "start_taichi"):
-        monkeypatch.setattr(splat_objects, name, lambda *_: [])
+        monkeypatch.setattr(segment, name, lambda *_: [])
     (tmp_path / "kept").mkdir()
     for out in ("new", "kept"):
         with pytest.raises(Cancelled):
-            args = SimpleNamespace(out=tmp_path / out, capture=tmp_path / "a.ply", arch="cpu", marks=None)
-            splat_objects.take_objects(args)
+            segment.take_objects(segment.SegmentOptions(capture=tmp_path / "a.ply", out=tmp_path / out, arch="cpu"))
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 

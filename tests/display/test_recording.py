@@ -317,7 +317,7 @@ def test_the_film_of_a_replay_keeps_the_time_of_the_play(tmp_path, monkeypatch):
     world = N(**shown, timings=Timings(), time=0.0, wanted_view=None)
     words = ["--replay", "play.h5", "--headless", "--record", str(tmp_path / "again.mp4"), "--size", "32x24"]
     words += ["--frames", "12"]
-    args = parse(words, "", print)
+    args = parse(words)[1]
     with open_display(args, fake_scene(), range(12)) as display, open_film(args, display) as film:
         for frame in display.frames(world):
             film.add(world, 5 * frame.time)

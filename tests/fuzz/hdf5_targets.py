@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 from pathlib import Path
 
@@ -45,11 +44,11 @@ def recording_samples(folder: Path) -> list[Files]:
 
 def read_recording(path: Path) -> None:
     """Load a recording, and take over its options."""
-    from display.record.recording_reader import OPTIONS
+    from commands.play import PlayOptions
     from display.record.replay import Replay
 
     replay = Replay.load(path)
-    replay.set_options(argparse.Namespace(**dict.fromkeys(OPTIONS), arch=None))
+    replay.set_options(PlayOptions())
     replay.world_options({})
 
 

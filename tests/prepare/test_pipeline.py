@@ -1,6 +1,5 @@
 """From a splat to an asset: cleaning, the way up, the cage's figures, and what bad input is told."""
 
-import argparse
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,8 @@ from assets.asset import Asset
 from assets.gaussians import Gaussians, concatenate
 from assets.orientation import AXES, alternatives, guess_up_axis, rotation_to_up, up_probabilities
 from assets.splat_files import read_gaussians, write_gaussians
-from commands.prepare import run
+from commands.prepare import PrepareOptions
+from commands.prepare import prepare as run
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.point_location import TetLocator
@@ -227,11 +227,9 @@ def test_the_command_checks_its_names_first(tmp_path):
     (tmp_path / "there.h5").write_text("precious")
 
     def command(splats, out, force=False, no_report=True):
-        run(argparse.Namespace(
-            splats=tmp_path / splats, out=tmp_path / out, force=force, vertices=300, scale=None, up=None, material=None,
-            no_report=no_report, mesher="stuffing", static=False, cell=None, cut=None,
-            cache=False,
-        ))  # fmt: skip
+        run(
+            PrepareOptions(splats=tmp_path / splats, out=tmp_path / out, force=force, vertices=300, no_report=no_report)
+        )
 
     with pytest.raises(BadInput, match=r"none\.ply: no such file"):
         command("none.ply", "out.h5")

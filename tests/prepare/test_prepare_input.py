@@ -1,6 +1,5 @@
 """vrgs.py prepare, given what cannot be used: one line, exit status 2, and no file where there was none."""
 
-import argparse
 from dataclasses import replace
 
 import h5py
@@ -11,6 +10,7 @@ import vrgs
 from assets.asset import Asset
 from assets.gaussians import concatenate, robust_bounds
 from assets.splat_files import write_gaussians
+from commands.options import Preparation
 from commands.prepared import cached_body, wanted_vertices
 from core.errors import BadInput
 from prepare.pipeline import Options
@@ -97,13 +97,9 @@ def test_without_a_number_the_cage_suits_the_device_and_a_line_says_so(prepared,
     assert status == 0 and f"a cage of {least} vertices, as suits a CPU (--vertices N)" in said.out
     found = Asset.load(tmp_path / "out.h5")
     assert abs(len(found.cage.vertices) / least - 1) < 0.15
-    args = argparse.Namespace(
-        vertices=None, scale=None, up=None, front=None, cells="adaptive", pieces=False, arch="cpu", seed=0
-    )
-    kept = cached_body(tmp_path / "ball.ply", args)
-    assert args.vertices == least and len(Asset.load(kept).cage.vertices) == len(found.cage.vertices)
-    args.vertices = None
-    assert cached_body(tmp_path / "ball.ply", args) == kept and args.vertices == least
+    kept, vertices = cached_body(tmp_path / "ball.ply", Preparation(), "cpu")
+    assert vertices == least and len(Asset.load(kept).cage.vertices) == len(found.cage.vertices)
+    assert cached_body(tmp_path / "ball.ply", Preparation(), "cpu") == (kept, least)
     assert device_vertices(animated=True)[0] > least
 
 

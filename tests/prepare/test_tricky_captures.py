@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -9,13 +10,15 @@ import numpy as np
 import pytest
 
 from assets.splat_files import read_gaussians
-from commands.train import _lowering, _photographs
+from commands.train import TrainOptions, _lowering, _photographs
 from core.errors import BadInput
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import kept_for_test, load_photographs
 from prepare.train.seeds import RANDOM_COUNT, first_count
 from tests.support.painted_capture import VIEWS, write_capture
 from vrgs import main
+
+OPTIONS = TrainOptions(capture=Path("room"), out=Path("room.ply"), reduce=2)
 
 
 def changed(folder, change):
@@ -84,9 +87,9 @@ def test_what_500_photographs_take_is_said_and_what_to_lower(tmp_path):
     photographs = load_photographs(read_capture(folder).views)
     assert _photographs(photographs).startswith("500 photographs of 64x64 take 8.19 MB")
     told = pytest.raises(BadInput, match=r"500 photographs of 64x64 take 8.19 MB.*--reduce 4 .*--cap")
-    with told, _lowering(photographs, SimpleNamespace(reduce=2)):
+    with told, _lowering(photographs, OPTIONS):
         raise RuntimeError("CUDA_ERROR_OUT_OF_MEMORY: out of memory while allocating")
-    with pytest.raises(RuntimeError, match="something else"), _lowering(photographs, SimpleNamespace(reduce=2)):
+    with pytest.raises(RuntimeError, match="something else"), _lowering(photographs, OPTIONS):
         raise RuntimeError("something else")
 
 

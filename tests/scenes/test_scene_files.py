@@ -30,7 +30,7 @@ def scene_file(tmp_path):
 
 
 def test_a_scene_file_is_played_by_its_path_with_its_own_options(scene_file):
-    args = parse(["--scene", scene_file, "--height", "1.5"], "", print)
+    args = parse(["--scene", scene_file, "--height", "1.5"])[1]
     assert args.options == {"height": "1.5"}
     scene = registry.load(args.scene, **args.options)
     assert scene.bodies[1].position == (0.0, 1.5, 0.1) and scene.eye == (0.0, 1.4, 1.1)
@@ -69,6 +69,6 @@ def test_a_saved_state_starts_no_scene_file_that_the_command_line_does_not_name(
     about = {"scene": scene_file, "interaction": "physics"}
     monkeypatch.setattr(state_file, "read_state", lambda path: SimpleNamespace(about=about))
     with pytest.raises(BadInput, match="name it too"):
-        open_state(parse(["--state", "kept.h5"], "", print))
-    named = parse(["--state", "kept.h5", "--scene", scene_file], "", print)
+        open_state(parse(["--state", "kept.h5"])[1])
+    named = parse(["--state", "kept.h5", "--scene", scene_file])[1]
     assert open_state(named).about is about and named.scene == scene_file

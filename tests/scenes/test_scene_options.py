@@ -1,13 +1,12 @@
 """The parameters of a scene's `build` are options of the command line."""
 
-import argparse
 import json
 
 import pytest
 
 import scenes
-from commands.parser import build_parser
-from commands.play import load_scene
+from commands.parser import parse
+from commands.play import PlayOptions, load_scene
 from core.errors import BadInput
 from display.record.recording import Recording
 from display.record.replay import Replay
@@ -44,7 +43,7 @@ def zoo(tmp_path, monkeypatch):
 
 def given(*argv: str) -> tuple:
     """Arguments that `build` of the zoo gets from a command line."""
-    return load_scene(build_parser("", print).parse_args(["--scene", "zoo", *argv]), None).given
+    return load_scene(parse(["--scene", "zoo", *argv])[1], None).given
 
 
 def test_parameters_of_build_become_options(zoo, capsys):
@@ -97,19 +96,19 @@ def test_a_parameter_that_cannot_be_an_option_is_the_scenes_fault(tmp_path, monk
 def test_an_option_named_like_one_of_the_program_is_told(tmp_path, monkeypatch, capsys):
     (tmp_path / "sized_scene.py").write_text(SOURCE, "utf-8")
     monkeypatch.setattr(scenes, "__path__", [*scenes.__path__, str(tmp_path)])
-    assert main(["scenes"]) == 0
+    parse(["--headless"])
     assert "sized_scene: --size means something else already" in capsys.readouterr().err
 
 
 def test_a_recording_keeps_the_options_and_all_bodies(zoo, tmp_path, ti_cpu):
-    args = argparse.Namespace(scene="zoo", options={"animal": "bear"}, body=["a.h5", "b.h5"], vertices=[300, 400])
+    args = PlayOptions(scene="zoo", options={"animal": "bear"}, body=["a.h5", "b.h5"], vertices=[300, 400])
     world = Ball()
     with Recording(tmp_path / "play.h5") as recording:
         recording.begin(args, {})
         for frame in some_frames(3):
             world.step(recording.note(frame))
             recording.after(world)
-    again = argparse.Namespace(arch=None, body=None)
+    again = PlayOptions()
     Replay.load(tmp_path / "play.h5").set_options(again)
     assert (again.options, again.body, again.vertices) == ({"animal": "bear"}, ["a.h5", "b.h5"], [300, 400])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from tests.fuzz.mutations import Files, saved
@@ -16,6 +17,26 @@ def asset_samples(folder: Path) -> list[Files]:
 
     made = [(moving_body(), False), (moving_body(), True), (some_stage(), False), (some_stage(), True)]
     return [saved(folder, "asset.h5", lambda path, a=a, q=q: a.save(path, quantised=q)) for a, q in made]
+
+
+def old_asset_samples(folder: Path) -> list[Files]:
+    """An asset whose texts are of variable length, as in files before 2026."""
+    from tests.fuzz.sample_assets import moving_body
+
+    def save(path: Path) -> None:
+        moving_body().save(path)
+        with_variable_texts(path)
+
+    return [saved(folder, "asset.h5", save)]
+
+
+def with_variable_texts(path: Path) -> None:
+    """Write the texts of a file's attributes as of variable length."""
+    with h5py.File(path, "r+") as file:
+        for node in (file, *(file[name] for name in file)):
+            for key, value in node.attrs.items():
+                if isinstance(value, bytes):
+                    node.attrs[key] = value.decode()
 
 
 def read_asset(path: Path) -> None:
@@ -40,6 +61,32 @@ def recording_samples(folder: Path) -> list[Files]:
     from tests.fuzz.sample_plays import record_some
 
     return [saved(folder, "play.h5", record_some)]
+
+
+def old_recording_samples(folder: Path) -> list[Files]:
+    """The same recording as version 3 had it."""
+    from tests.display.test_recording import as_version_3
+    from tests.fuzz.sample_plays import record_some
+
+    def save(path: Path) -> None:
+        record_some(path)
+        as_version_3(path)
+
+    return [saved(folder, "play.h5", save)]
+
+
+def journal_samples(folder: Path) -> list[Files]:
+    """The journal of a recording, as an interrupted session leaves it."""
+    from tests.display.test_recording import record, some_frames
+
+    def save(path: Path) -> None:
+        recording = record(path.with_name("other.h5"), some_frames(24), close=False)
+        recording.flush()
+        path.write_bytes(recording.part.read_bytes())
+        recording.close()
+        recording.path.unlink()
+
+    return [saved(folder, "play.h5.part", save)]
 
 
 def read_recording(path: Path) -> None:

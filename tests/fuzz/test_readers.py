@@ -24,7 +24,7 @@ def test_every_reader_reads_or_refuses(tmp_path):
 
 def test_a_length_of_a_text_is_not_believed(tmp_path):
     """HDF5 allocates and clears as many bytes, up to 4 GiB, before it looks where the text is."""
-    for name in ("asset", "recording"):
+    for name in ("old asset", "old recording"):
         target = replace(TARGETS[name], inside=lambda folder: [claim_text])
         faults = [wrong(target, 0, number, tmp_path) for number in range(12)]
         assert faults == [None] * len(faults)

@@ -120,4 +120,4 @@ def test_bodies_and_options_of_a_recording_are_checked(about):
     from display.record.recording_reader import checked_about
 
     with pytest.raises(BadInput):
-        checked_about(json.dumps({"scene": "zoo", **about}))
+        checked_about(json.dumps({"scene": "zoo", **about}), "play.h5")

@@ -18,7 +18,7 @@ import numpy as np
 
 from core.camera import Camera
 from display.timing import write_stats
-from display.viewed_file import camera_around, upright
+from display.viewed_file import ViewedFile, camera_around
 from render import SORTS
 
 DEGREES, STEPS, SHARPER = 1.0, 20, 3
@@ -29,7 +29,7 @@ REFERENCE_BUFFER = 64  # splats that its pixels sort; more changed the dining ro
 
 def run(args) -> None:
     """Run the command: measure every sort order, print a table, write --json."""
-    gaussians, _ = upright(args.splats, None)
+    gaussians = ViewedFile.read(args.splats, None).gaussians
     camera = camera_around(gaussians, SHARPER * COMPARED_SIZE[0], SHARPER * COMPARED_SIZE[1], 0.4)
     rows = measure(gaussians, camera)
     print("differences in 1/255")

@@ -150,7 +150,7 @@ def film_turntable(options: RenderOptions) -> None:
     from display.headless.headless import Progress
     from display.headless.video import Video
     from display.picture import pixels_of
-    from display.viewed_file import BACKGROUND, camera_around, upright
+    from display.viewed_file import BACKGROUND, ViewedFile, camera_around
     from render.renderer import Renderer
     from render.splats import Splats
 
@@ -159,7 +159,8 @@ def film_turntable(options: RenderOptions) -> None:
     with contextlib.ExitStack() as at_end:
         at_end.callback(video.discard)
         start = time.perf_counter()
-        gaussians, up = upright(options.splats, options.up)
+        file = ViewedFile.read(options.splats, options.up)
+        gaussians = file.gaussians
         sort = options.sort or gaussians.sort or DEFAULT_SORT
         renderer = Renderer(
             Splats(gaussians), width, height, antialias=options.antialias, sort=sort, background=BACKGROUND
@@ -173,4 +174,4 @@ def film_turntable(options: RenderOptions) -> None:
         progress.end()
         video.close()
     seconds, count = time.perf_counter() - start, len(gaussians)
-    print(f"{options.out}: {options.frames} pictures {width}x{height} of {count} Gaussians, {up}, {seconds:.1f} s")
+    print(f"{options.out}: {options.frames} pictures {width}x{height} of {count} Gaussians, {file.note}, {seconds:.1f} s")

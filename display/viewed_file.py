@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.gaussians import Gaussians
-from assets.orientation import alternatives, rotation_to_up
+from assets.orientation import alternatives, rotation_to_up, up_probabilities
 from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
@@ -64,13 +64,24 @@ class ViewedFile:
     factor: float = 1.0
 
     @classmethod
-    def read(cls, path: Path, up: str | None) -> ViewedFile:
-        """Read a file. Raises BadInput."""
-        gaussians, chances = turned_up(path, up)
-        up = next(iter(chances))
-        turn, note = rotation_to_up(up), up_note(chances)
-        others = chances if len(chances) > 1 else {}
-        return cls(Path(path), gaussians, up, note, bounds_of(gaussians), chances=others, turn=turn)
+    def read(cls, path: str | Path, up: str | None) -> ViewedFile:
+        """Read a file and turn it so that its axis `up` is +y. Raises BadInput.
+
+        None: the most probable axis is guessed, but for a prepared asset, of which +y is up.
+        """
+        gaussians, chances = read_gaussians(path), {}
+        if up is None and not str(path).lower().endswith(".h5"):
+            chances = up_probabilities(gaussians)
+        up = max(chances, key=chances.get) if chances else up or "+y"
+        note = f"{up} is up"
+        if len(chances) > 1:
+            others = ", ".join(f"{other} {chances[other]:.0%}" for other in alternatives(chances)[1:])
+            note += f" (guessed, {chances[up]:.0%} sure{f'; else {others}' if others else ''}; --up overrides)"
+        turn = rotation_to_up(up)
+        if up != "+y":
+            gaussians = gaussians.transformed(turn, (0.0, 0.0, 0.0), 1.0)
+        gaussians = gaussians.select(morton_order(gaussians.means))
+        return cls(Path(path), gaussians, up, note, bounds_of(gaussians), chances=chances, turn=turn)
 
     @property
     def size(self) -> float:
@@ -143,43 +154,6 @@ def bounds_of(gaussians: Gaussians) -> Box:
     """The box of the Gaussians' means."""
     means = gaussians.means.astype(np.float64)
     return Box(means.min(0), means.max(0))
-
-
-# Reading
-
-
-def upright(path, up: str | None) -> tuple[Gaussians, str]:
-    """The file's Gaussians turned so that `up` is +y, and a note on that; None: guessed, but for a prepared asset."""
-    gaussians, chances = turned_up(path, up)
-    return gaussians, up_note(chances)
-
-
-def turned_up(path, up: str | None) -> tuple[Gaussians, dict[str, float]]:
-    """The file's Gaussians turned so that `up` is +y; None: the most probable axis, but for a prepared asset.
-
-    Out.  the probabilities of the axes that may point up, the one that was taken first
-    """
-    from assets.orientation import up_probabilities
-
-    gaussians = read_gaussians(path)
-    if up is None and not str(path).lower().endswith(".h5"):
-        chances = up_probabilities(gaussians)
-    else:
-        chances = {up or "+y": 1.0}
-    chances = dict(sorted(chances.items(), key=lambda item: -item[1]))
-    up = next(iter(chances))
-    if up != "+y":
-        gaussians = gaussians.transformed(rotation_to_up(up), (0.0, 0.0, 0.0), 1.0)
-    return gaussians.select(morton_order(gaussians.means)), chances
-
-
-def up_note(chances: dict[str, float]) -> str:
-    """A note on which axis is up, the first, and what else may be."""
-    up, sure = next(iter(chances.items()))
-    if len(chances) == 1:
-        return f"{up} is up"
-    others = ", ".join(f"{other} {chances[other]:.0%}" for other in alternatives(chances)[1:])
-    return f"{up} is up (guessed, {sure:.0%} sure{f'; else {others}' if others else ''}; --up overrides)"
 
 
 # Where to look from

@@ -12,7 +12,7 @@ import pytest
 import vrgs
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
-from display.viewed_file import camera_around, middle_and_radius, upright
+from display.viewed_file import ViewedFile, camera_around, middle_and_radius
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
 PROGRAM = Path(__file__).resolve().parents[2] / "vrgs.py"
@@ -62,8 +62,9 @@ def test_a_single_gaussian_has_a_size_too():
 
 
 def test_the_named_axis_points_up(file):
-    g, up = upright(file, "+x")
-    assert up == "+x is up"
+    viewed = ViewedFile.read(file, "+x")
+    g = viewed.gaussians
+    assert viewed.note == "+x is up"
     assert g.means[:-1, 1].mean() == pytest.approx(3.0, abs=0.3)  # where x was
 
 

@@ -174,4 +174,6 @@ def film_turntable(options: RenderOptions) -> None:
         progress.end()
         video.close()
     seconds, count = time.perf_counter() - start, len(gaussians)
-    print(f"{options.out}: {options.frames} pictures {width}x{height} of {count} Gaussians, {file.note}, {seconds:.1f} s")
+    print(
+        f"{options.out}: {options.frames} pictures {width}x{height} of {count} Gaussians, {file.note}, {seconds:.1f} s"
+    )

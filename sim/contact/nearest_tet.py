@@ -12,7 +12,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
-from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vote
+from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vector_from_lane, vote
 from core.morton import morton_order
 from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds, PointHash, SelfCollision, outside_box
 from sim.contact.contact_samples import CapsuleSamples, ContactSamples, QueryPoints
@@ -139,17 +139,32 @@ def stay_apart(s: ti.template(), x, v, t, axis):
     return gap >= CONTACT_MARGIN + closing * s.detect_dt[None]
 
 
+@ti.dataclass
+class TetOutline:
+    """What is quickly known of where a tet can meet points until the next search."""
+
+    body: ti.i32
+    low: vec3  # box in which it can meet points [m]
+    high: vec3
+    max_distance: ti.f32  # from which it may come to a point [m], 0: from nowhere
+    rest: vec3  # sphere within which points of its own body, at rest, never meet it [m]
+    rest_radius: ti.f32
+    center: vec3  # sphere around it [m]
+    radius: ti.f32
+    velocity: vec3  # sphere around the velocities of its corners [m/s]
+    speed_radius: ti.f32
+
+
 @ti.data_oriented
 class NearestTets:
-    """host i32[N]: the tet of another group that is nearest to a point; neighbor vec4i[T]: across each corner's face;
-    rest vec3[N] [m]: where a body's sample is at rest.
-
-    Of the hash's entries: entry_group i32[N], and of bodies' samples entry_rest [m] and entry_velocity [m/s], vec3[N].
+    """The host of each point: the tet of another group that is nearest to it.
 
     Within a cell's size that is exact. For what may come from farther away until the next search, the search begins at
     the nearest of a body's SEEDS tets, and goes from neighbor to neighbor while that is nearer: a fast body comes near
     all.
 
+    host i32[N]: the tet;   neighbor vec4i[T]: tet across each corner's face;   rest vec3[N] [m]: samples at rest
+    entry_group i32[N], and of bodies' samples entry_rest [m] and entry_velocity [m/s] vec3[N]: of the hash's entries
     order i32[ordered_count]: the tets, those of a warp close to one another, and -1 in places that are left
     max_approach f32[B,G] [m]: how far body b and group g may approach until the next search, 0 if they cannot meet
     """
@@ -223,26 +238,40 @@ class NearestTets:
     @ti.kernel
     def find(self, constraints: ti.template(), begin: ti.i32):
         """Find the host of each point; that of point p makes constraint begin + p a candidate."""
-        s = self.state
-        h = self.hash
-        self.any_near[None], h.total[None] = 0, 0
+        self.any_near[None], self.hash.total[None], self.nearby_count[None] = 0, 0, 0
+        self._find_meetings()
+        self._hash_points()
+        # Few tets meet anything: the others are sorted out first, in a loop of its own that needs few registers
+        for k in range(self.ordered_count[None]):
+            if self.any_near[None]:
+                self._list_if_nearby(self.order[k], k % self.lanes)
+        for k in range(self.nearby_count[None] * self.visitors):
+            self._visit(self.nearby[k // self.visitors], k % self.visitors)
+        self._set_hosts(constraints, begin)
+
+    @ti.func
+    def _find_meetings(self):
+        """Find which bodies come near which groups until the next search. Outermost level of a kernel."""
+        s, box = self.state, self.bounds
         for g in self.wanted:
             self.wanted[g] = 0
-        for b, g in self.max_approach:  # which bodies come near which groups
+        for b, g in self.max_approach:
             n = s.body_count[None]
             meets, approach = False, 0.0
-            alone = True
+            alone = b == g
             if ti.static(self.self_collides):
                 alone = b == g and self.self_collision.self_colliding[b] == 0
-            else:
-                alone = b == g
             if b < n and not alone and self.points.is_group(g):
-                box = self.bounds
                 _low, _high, meets, approach = self.sweep(box.low[b], box.high[b], box.v_min[b], box.v_max[b], g)
             self.max_approach[b, g] = approach if meets else 0.0
             if meets:
                 self.wanted[g] = 1
                 self.any_near[None] = 1
+
+    @ti.func
+    def _hash_points(self):
+        """Put the points of the groups that bodies come near into the hash. Outermost level of a kernel."""
+        s, h = self.state, self.hash
         for bucket in range(h.buckets):
             h.clear(bucket)
         for p in range(h.points):
@@ -257,19 +286,17 @@ class NearestTets:
                 self.entry_group[e] = self.points.group(p)
                 if p < self.samples.count[None]:
                     self.entry_rest[e], self.entry_velocity[e] = self.rest[p], self.samples.blend(p, s.v)
-        # Few tets meet anything: the others are sorted out first, in a loop of its own that needs few registers
-        self.nearby_count[None] = 0
-        for k in range(self.ordered_count[None]):
-            if self.any_near[None]:
-                self._list_if_nearby(self.order[k], k % self.lanes)
-        for k in range(self.nearby_count[None] * self.visitors):
-            self._visit(self.nearby[k // self.visitors], k % self.visitors)
-        for p in range(h.points):
+
+    @ti.func
+    def _set_hosts(self, constraints: ti.template(), begin):
+        """Make the constraint of each point that has a host a candidate. Outermost level of a kernel."""
+        s = self.state
+        for p in range(self.hash.points):
             host = tet_of_key(self.key[p])
             if host < 0 and self._searches(p):
                 host = self._approaching(p)
             if host < 0 or s.body_of_tet[host] != s.body_of_tet[self.host[p]]:
-                constraints.clear_impulse(begin + p)
+                constraints.clear_impulse(begin + p)  # it was of a contact with another body
             if host >= 0:
                 self.host[p] = host
                 constraints.add_candidate(begin + p)
@@ -310,27 +337,21 @@ class NearestTets:
     def _list_if_nearby(self, t, lane):
         """Add tet t to `nearby` if a point may meet it, by what is quickly known of both; -1: no tet.
 
-        The lanes of a warp, which have tets close to one another, look at each point near any of these together.
+        The lanes of a warp, which have tets close to one another, look at each point near any of these together: cell
+        by cell of the box around all of their boxes, until each lane has found a point or all points have been seen.
         """
-        s, h = self.state, self.hash
+        h = self.hash
         lanes = ti.static(self.lanes)
-        box_low, box_high, max_distance, body = vec3(UNKNOWN_DISTANCE), vec3(-UNKNOWN_DISTANCE), 0.0, -1
-        if t >= 0:
-            body = s.body_of_tet[t]
-            box_low, box_high, max_distance = self._reach(t)
-        low, high = box_low, box_high
+        tet = self._outline(t)
+        low, high = tet.low, tet.high
         for axis in ti.static(range(3)):
-            low[axis] = from_lane(-max_lanes(-box_low[axis], lanes), 0, lanes)
-            high[axis] = from_lane(max_lanes(box_high[axis], lanes), 0, lanes)
-        searches, found = max_distance > 0.0, False
+            low[axis] = from_lane(-max_lanes(-tet.low[axis], lanes), 0, lanes)
+            high[axis] = from_lane(max_lanes(tet.high[axis], lanes), 0, lanes)
+        searches, found = tet.max_distance > 0.0, False
         searching = vote(searches, lanes)
         if searching != 0:
-            rest, rest_radius = vec3(0.0), 0.0
-            center, radius, v, v_radius = rest, 0.0, rest, 0.0
             if searches:
-                rest, rest_radius = self._neighborhood(t)
-                center, radius = bounding_sphere(s.x, s.tets[t])
-                v, v_radius = bounding_sphere(s.v, s.tets[t])
+                self._add_spheres(tet, t)
             first, last = h.cell_range(low, high)
             cells, cell = last - first, 0
             count = cells.x * cells.y * cells.z
@@ -340,41 +361,68 @@ class NearestTets:
                     bucket = self._bucket(first, cells, cell + lane)
                     begin, size = h.begin[bucket], h.size[bucket]
                 filled = vote(size > 0, lanes)
-                while filled != 0 and searching != 0:
+                while filled != 0 and searching != 0:  # the lanes' buckets, one after the other
                     of = first_of(filled)
                     e, end = int_from_lane(begin, of, lanes), int_from_lane(size, of, lanes)
                     end += e
                     while e < end:
-                        x, x_rest, x_v, g, near = vec3(0.0), vec3(0.0), vec3(0.0), 0, False
-                        if e + lane < end:
-                            x, g = h.position[e + lane], self.entry_group[e + lane]
-                            x_rest, x_v = self.entry_rest[e + lane], self.entry_velocity[e + lane]
-                            near = outside_box(low, high, x) <= 0.0
-                        those = vote(near, lanes)
-                        while those != 0:
-                            k = first_of(those)
-                            y, y_rest, y_v = x, x_rest, x_v
-                            for axis in ti.static(range(3)):
-                                y[axis] = from_lane(x[axis], k, lanes)
-                                y_rest[axis], y_v[axis] = (
-                                    from_lane(x_rest[axis], k, lanes),
-                                    from_lane(x_v[axis], k, lanes),
-                                )
-                            group = int_from_lane(g, k, lanes)
-                            if searches and not found and outside_box(box_low, box_high, y) <= 0.0:
-                                found = self.max_approach[body, group] > 0.0
-                                if ti.static(self.self_collides):  # noqa: SIM102
-                                    if group == body:
-                                        closing = CONTACT_MARGIN + ((y_v - v).norm() + v_radius) * s.detect_dt[None]
-                                        found = found and outside_sphere(y, center, radius) < closing
-                                        found = found and outside_sphere(y_rest, rest, rest_radius) > 0.0
-                            those &= those - ti.u32(1)
+                        found = self._look_at(e + lane, end, tet, low, high, searches, found)
                         e += lanes
                     searching = vote(searches and not found, lanes)
                     filled &= filled - ti.u32(1)
                 cell += lanes
         if found:
             self.nearby[ti.atomic_add(self.nearby_count[None], 1)] = t
+
+    @ti.func
+    def _look_at(self, e, end, tet, low, high, searches, found):
+        """Test the entries that the lanes hold, e < end, against the tet of each lane.
+
+        low, high: the box around all lanes' boxes. Returns whether this lane has found a point, now or before.
+        """
+        h = self.hash
+        lanes = ti.static(self.lanes)
+        x, x_rest, x_v, g, near = vec3(0.0), vec3(0.0), vec3(0.0), 0, False
+        if e < end:
+            x, g = h.position[e], self.entry_group[e]
+            x_rest, x_v = self.entry_rest[e], self.entry_velocity[e]
+            near = outside_box(low, high, x) <= 0.0
+        result, those = found, vote(near, lanes)
+        while those != 0:
+            k = first_of(those)
+            y, y_rest, y_v = (
+                vector_from_lane(x, k, lanes),
+                vector_from_lane(x_rest, k, lanes),
+                vector_from_lane(x_v, k, lanes),
+            )
+            group = int_from_lane(g, k, lanes)
+            if searches and not result and outside_box(tet.low, tet.high, y) <= 0.0:
+                result = self.max_approach[tet.body, group] > 0.0
+                if ti.static(self.self_collides):  # noqa: SIM102
+                    if group == tet.body:
+                        speed = (y_v - tet.velocity).norm() + tet.speed_radius
+                        closing = CONTACT_MARGIN + speed * self.state.detect_dt[None]
+                        result = result and outside_sphere(y, tet.center, tet.radius) < closing
+                        result = result and outside_sphere(y_rest, tet.rest, tet.rest_radius) > 0.0
+            those &= those - ti.u32(1)
+        return result
+
+    @ti.func
+    def _outline(self, t):
+        """Outline of tet t, or of none (-1), without its spheres."""
+        body, low, high, max_distance = -1, vec3(UNKNOWN_DISTANCE), vec3(-UNKNOWN_DISTANCE), 0.0
+        if t >= 0:
+            body = self.state.body_of_tet[t]
+            low, high, max_distance = self._reach(t)
+        return TetOutline(body=body, low=low, high=high, max_distance=max_distance)
+
+    @ti.func
+    def _add_spheres(self, tet: ti.template(), t):
+        """Set the spheres of the outline of tet t."""
+        s = self.state
+        tet.rest, tet.rest_radius = self._neighborhood(t)
+        tet.center, tet.radius = bounding_sphere(s.x, s.tets[t])
+        tet.velocity, tet.speed_radius = bounding_sphere(s.v, s.tets[t])
 
     @ti.func
     def _neighborhood(self, t):

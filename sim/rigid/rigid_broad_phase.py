@@ -204,15 +204,33 @@ class RigidBroadPhase:
 
         The bounds must be up to date.
         """
-        P = self.samples.capacity
         self.total[None], self.group_count[None] = 0, 0
         for g in range(GROUPS):
             self.size[g], self.filled[g], self.active[g] = 0, 0, 0
-        for p in range(P):
+        self._fill_slots()
+        self._count_groups()
+        self._fill_groups()
+        # Of a group only the corners of its lower hull, and what bounces, are left
+        for k in range(self.total[None] * DIRECTIONS):
+            e = k // DIRECTIONS
+            if self.spare[e] and self._is_corner(e, k % DIRECTIONS):
+                self.spare[e] = 0
+        for k in range(GROUPS * self.lanes):
+            self._thin_out(k // self.lanes, k % self.lanes)
+
+    @ti.func
+    def _fill_slots(self):
+        """Keep, drop and take shapes in the slots of all samples. Outermost level of a kernel."""
+        for p in range(self.samples.capacity):
             if p < self.samples.count[None]:
                 n = self.static_shapes.count[None]
                 for k in range(n + self.state.body_count[None]):
                     self._offer(p, k if k < n else MAX_SHAPES + k - n)
+
+    @ti.func
+    def _count_groups(self):
+        """Make contacts of soft bodies candidates; locate and count those of groups. Outermost level of a kernel."""
+        P = self.samples.capacity
         for q in range(SLOTS * P):
             if self._in_use(q):
                 g = self.group_of(q)
@@ -225,24 +243,22 @@ class RigidBroadPhase:
                 else:
                     self._locate(q, g)
                     ti.atomic_add(self.size[g], 1)
+
+    @ti.func
+    def _fill_groups(self):
+        """List the groups, and the slots of each in their order. Outermost level of a kernel."""
         for g in range(GROUPS):
             if self.size[g] > 0:
                 self.group_begin[g] = ti.atomic_add(self.total[None], self.size[g])
                 self.group[ti.atomic_add(self.group_count[None], 1)] = g
-        for q in range(SLOTS * P):
+        for q in range(SLOTS * self.samples.capacity):
             if self._in_use(q):
                 g = self.group_of(q)
-                if g >= 0:
+                if g >= 0:  # in any order, which is put right below
                     self.listed[self.group_begin[g] + ti.atomic_add(self.filled[g], 1)] = q
-        for e in range(SLOTS * P):
+        for e in range(SLOTS * self.samples.capacity):
             if e < self.total[None]:
                 self._sort(self.listed[e])
-        for k in range(self.total[None] * DIRECTIONS):
-            e = k // DIRECTIONS
-            if self.spare[e] and self._is_corner(e, k % DIRECTIONS):
-                self.spare[e] = 0
-        for k in range(GROUPS * self.lanes):
-            self._thin_out(k // self.lanes, k % self.lanes)
 
     @ti.func
     def _in_use(self, q):
@@ -265,7 +281,7 @@ class RigidBroadPhase:
 
     @ti.func
     def _sort(self, q):
-        """Put slot q into its place in its group: they came in any order.
+        """Put slot q into its place in its group.
 
         It is to spare until it is found to be a corner. What bounces is not to be forgotten.
         """

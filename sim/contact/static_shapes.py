@@ -269,25 +269,21 @@ class StaticShapes:
             gridded += isinstance(shape, StaticGrid)
 
     def _put(self, k: int, shape: Shape, grid: int) -> None:
-        low, high = (-UNKNOWN_DISTANCE,) * 3, (UNKNOWN_DISTANCE,) * 3
         if isinstance(shape, Plane):
             kind, a, b = PLANE, shape.point, np.asarray(shape.normal) / np.linalg.norm(shape.normal)
         elif isinstance(shape, Capsule):
             kind, a, b = CAPSULE, shape.a, shape.b
             self.radius[k] = float(shape.radius)
-            low, high = np.minimum(a, b) - shape.radius, np.maximum(a, b) + shape.radius
         elif isinstance(shape, Box):
             kind, a, b = BOX, shape.center, shape.half_size
-            low, high = np.subtract(a, b), np.add(a, b)
         elif isinstance(shape, StaticGrid):
             kind, a, b = GRID, shape.position, (0, 0, 0)
             self.grid[k], self.scale[k] = grid, float(shape.scale)
-            R = matrices_from_quaternions(np.asarray(shape.rotation, np.float64)[None])[0]
-            self.frame[k] = R.T.tolist()
-            low, high = grid_box(shape, R)
+            self.frame[k] = rotation_of(shape).T.tolist()
         else:
             raise TypeError(f"not a static shape: {shape!r}")
         self.kind[k], self.friction[k] = kind, float(shape.friction)
+        low, high = bounding_box(shape)
         for field, value in ((self.a, a), (self.b, b), (self.low, low), (self.high, high)):
             field[k] = [float(c) for c in value]
 
@@ -349,7 +345,7 @@ def placed(shape: Shape, pose: np.ndarray) -> Shape:
 
     match shape:
         case StaticGrid():
-            q = quaternions_from_matrices(R @ matrices_from_quaternions(np.asarray(shape.rotation, np.float64)))
+            q = quaternions_from_matrices(R @ rotation_of(shape))
             return replace(shape, rotation=tuple(q.tolist()), position=at(shape.position))
         case Plane():
             return replace(shape, point=at(shape.point), normal=tuple((R @ np.asarray(shape.normal)).tolist()))
@@ -360,11 +356,22 @@ def placed(shape: Shape, pose: np.ndarray) -> Shape:
     return replace(shape, center=at(shape.center))
 
 
-def grid_box(shape: StaticGrid, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World bounding box of the grid's own box."""
+def rotation_of(shape: StaticGrid) -> np.ndarray:
+    """Rotation of a grid's frame in the world, (3, 3)."""
+    return matrices_from_quaternions(np.asarray(shape.rotation, np.float64)[None])[0]
+
+
+def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a box around a shape, of a grid around its own box [m]; UNKNOWN_DISTANCE of a plane."""
+    if isinstance(shape, Plane):
+        return np.full(3, -UNKNOWN_DISTANCE), np.full(3, UNKNOWN_DISTANCE)
+    if isinstance(shape, Capsule):
+        return np.minimum(shape.a, shape.b) - shape.radius, np.maximum(shape.a, shape.b) + shape.radius
+    if isinstance(shape, Box):
+        return np.subtract(shape.center, shape.half_size), np.add(shape.center, shape.half_size)
     origin = np.asarray(shape.grid.origin, np.float64)
     ends = np.stack(np.meshgrid(*zip(origin, shape.grid.upper, strict=True), indexing="ij"), -1).reshape(-1, 3)
-    world = shape.scale * ends @ R.T + np.asarray(shape.position)
+    world = shape.scale * ends @ rotation_of(shape).T + np.asarray(shape.position)
     return world.min(0), world.max(0)
 
 
@@ -445,17 +452,6 @@ def line(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
 
 
-def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of a box around a shape [m]; infinite of a plane."""
-    if isinstance(shape, Plane):
-        return np.full(3, -np.inf), np.full(3, np.inf)
-    if isinstance(shape, Capsule):
-        return np.minimum(shape.a, shape.b) - shape.radius, np.maximum(shape.a, shape.b) + shape.radius
-    if isinstance(shape, Box):
-        return np.subtract(shape.center, shape.half_size), np.add(shape.center, shape.half_size)
-    return grid_box(shape, matrices_from_quaternions(np.asarray(shape.rotation, np.float64)[None])[0])
-
-
 def within(shape: Shape, points: np.ndarray) -> np.ndarray:
     """Mask of the points (N, 3) under the surface of a shape by more than its tolerance, (N,) bool."""
     if isinstance(shape, Plane):
@@ -467,8 +463,7 @@ def within(shape: Shape, points: np.ndarray) -> np.ndarray:
         return np.linalg.norm(points - shape.a - along[:, None] * axis, axis=1) < shape.radius - TOLERANCE
     if isinstance(shape, Box):
         return (np.abs(points - shape.center) < np.asarray(shape.half_size) - TOLERANCE).all(1)
-    rotation = matrices_from_quaternions(np.asarray(shape.rotation, np.float64)[None])[0]
-    local = (points - shape.position) @ rotation / shape.scale
+    local = (points - shape.position) @ rotation_of(shape) / shape.scale
     grid, result = shape.grid, np.zeros(len(points), bool)
     known = ((local >= grid.origin) & (local <= grid.upper)).all(1)
     tolerance = max(TOLERANCE / shape.scale, GRID_TOLERANCE * grid.spacing)

@@ -15,7 +15,7 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup
-from core.rotation import matrices_from_quaternions
+from core.rotation import matrices_from_quaternions, rotation_between
 from core.vocabulary import Hand
 from sim.state import State
 
@@ -122,7 +122,8 @@ class RigidEditing:
         before, now = pair.positions[1] - pair.positions[0], positions[1] - positions[0]
         lengths = np.linalg.norm(before), np.linalg.norm(now)
         pair.factor = float(np.clip(lengths[1] / lengths[0], MIN_SCALE, MAX_SCALE))
-        pair.rotation = shortest_rotation(before / lengths[0], now / max(lengths[1], 1e-9))
+        if lengths[1] > 1e-9:
+            pair.rotation = rotation_between(before, now)
         pair.middle = positions.mean(0)
         self._place(body, pair.factor, pair.rotation, pair.positions.mean(0), pair.middle)
 
@@ -189,14 +190,3 @@ def world_from_hand(hand: Hand) -> np.ndarray:
     M[:3, :3] = matrices_from_quaternions(hand.rotation)
     M[:3, 3] = hand.position
     return M
-
-
-def shortest_rotation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The shortest rotation (3, 3) that takes unit vector a to b."""
-    v, c = np.cross(a, b), float(a @ b)
-    if c < -0.9999:  # about any axis across
-        axis = np.cross(a, (1.0, 0.0, 0.0) if abs(a[0]) < 0.9 else (0.0, 1.0, 0.0))
-        axis /= np.linalg.norm(axis)
-        return 2.0 * np.outer(axis, axis) - np.eye(3)
-    K = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    return np.eye(3) + K + K @ K / (1.0 + c)

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench.sample_meshes import box
 from core.material import Material
 from core.vocabulary import Hand
-from sim.hands.rigid_editing import MAX_SCALE, MIN_SCALE, shortest_rotation
+from sim.hands.rigid_editing import MAX_SCALE, MIN_SCALE
 from sim.model import SoftBody
 from tests.support.soft_world import soft_solver
 
@@ -137,15 +137,3 @@ def test_physics_never_sees_a_preview(solver):
     assert_allclose(np.ptp(x, axis=0), SIDE, rtol=0.05)
     assert solver.take_scaling() is not None
     assert solver.stats["finite"]
-
-
-def test_the_shortest_turn():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        a, b = rng.normal(size=(2, 3))
-        a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-        for to in (b, a, -a):
-            R = shortest_rotation(a, to)
-            assert_allclose(R @ a, to, atol=1e-4)
-            assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
-            assert np.linalg.det(R) > 0

@@ -14,7 +14,6 @@ from assets.environment import Environment, read_environment, write_environment
 from assets.file_access import atomic_write
 from assets.gaussians import ROWS, Gaussians
 from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
-from assets.images import check_thumbnail
 from assets.quantisation import (
     read_grid,
     read_quantised_embedding,
@@ -116,7 +115,6 @@ class Asset:
     provenance       any JSON object
     environment      a static scene to play in
     animation        a motion of the body's own
-    thumbnail        a small PNG, (K,) uint8 (assets/images.py)
     """
 
     gaussians: Gaussians
@@ -127,7 +125,6 @@ class Asset:
     provenance: dict = field(default_factory=dict)
     environment: Environment | None = None
     animation: Animation | None = None
-    thumbnail: np.ndarray | None = None
 
     @property
     def grids(self) -> list[DistanceGrid]:
@@ -151,8 +148,6 @@ class Asset:
             self.material.check(where)
         if self.animation is not None:
             self.animation.check(len(self.cage.vertices), where)
-        if self.thumbnail is not None:
-            check_thumbnail(self.thumbnail, where)
 
     def transformed(self, rotation: np.ndarray, factor: float = 1.0) -> Asset:
         """The asset turned by `rotation` (3, 3) and made `factor` times as large, without being prepared again.
@@ -215,7 +210,6 @@ class Asset:
                 _read_provenance(file),
                 read_environment(file) if file.has("stage") else None,
                 read_animation(file) if file.has("animation") else None,
-                file.indices("thumbnail", (None,), np.uint8) if file.has("thumbnail") else None,
             )
         asset.check(str(path))
         return asset
@@ -252,8 +246,6 @@ class Asset:
                 write_grid(file, "sdf/values", self.sdf, quantised=quantised)
             if self.environment is not None:
                 write_environment(file, self.environment, quantised=quantised)
-            if self.thumbnail is not None:
-                write_dataset(file, "thumbnail", self.thumbnail, np.uint8)
             if self.material is not None:
                 _write_material(file, self.material)
             if self.animation is not None:

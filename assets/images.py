@@ -1,24 +1,17 @@
-"""Images in files from untrusted sources: sizes from their headers, decoding, and the thumbnails of assets."""
+"""Images in files from untrusted sources: sizes from their headers, before memory of that size is taken; decoding."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import struct
-import zlib
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from core.errors import BadInput
-
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 WEBP_HEADER_SIZE = 32  # [bytes] that tell the size of any kind of WebP image
-THUMBNAIL_SIDE = 192  # [px] of those that are made
-THUMBNAIL_SIDE_MAX = 1024  # [px] of those that are accepted
-THUMBNAIL_BYTES_MAX = 1 << 20
-PNG_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}  # grey, RGB, and these with alpha; palettes are not accepted
 
 
 class ImageHeader(NamedTuple):
@@ -117,62 +110,9 @@ def without_stderr() -> Iterator[None]:
             os.close(kept)
 
 
-def thumbnail_of(picture: np.ndarray) -> np.ndarray:
-    """PNG bytes (K,) uint8 of the middle square of a picture (H, W, 3) uint8 RGB, THUMBNAIL_SIDE pixels wide."""
-    import cv2
-
-    height, width = picture.shape[:2]
-    side = min(height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    square = picture[top : top + side, left : left + side]
-    square = cv2.resize(square, (THUMBNAIL_SIDE, THUMBNAIL_SIDE), interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".png", square[..., ::-1].copy(), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].reshape(-1)
-
-
-def check_thumbnail(png: np.ndarray, where: str) -> None:
-    """Raise BadInput, naming `where`, unless the bytes (K,) uint8 are a whole small PNG that unpacks to its size.
-
-    Chunks are length, name, data, CRC (PNG specification, Sec. 5.3); a PNG of 8 bits a channel without interlacing
-    unpacks to height (1 + width channels) bytes (Sec. 7.2).
-    """
-    if png.dtype != np.uint8 or png.ndim != 1 or len(png) > THUMBNAIL_BYTES_MAX:
-        raise BadInput(f"{where}: the thumbnail is not a row of at most {THUMBNAIL_BYTES_MAX} bytes")
-    chunks = list(_png_chunks(png.tobytes(), where))
-    names = [name for name, _ in chunks]
-    if names[:1] != [b"IHDR"] or names[-1:] != [b"IEND"] or b"IDAT" not in names or len(chunks[0][1]) != 13:
-        raise BadInput(f"{where}: the thumbnail is no whole PNG")
-    width, height, depth, color, *_, interlaced = struct.unpack(">IIBBBBB", chunks[0][1])
-    if not (0 < width <= THUMBNAIL_SIDE_MAX and 0 < height <= THUMBNAIL_SIDE_MAX):
-        raise BadInput(f"{where}: the thumbnail is {width}x{height}; at most {THUMBNAIL_SIDE_MAX} a side are taken")
-    if depth != 8 or color not in PNG_CHANNELS or interlaced:
-        raise BadInput(f"{where}: the thumbnail is no plain PNG of 8 bits a channel")
-    size = height * (1 + width * PNG_CHANNELS[color])
-    packed = b"".join(body for name, body in chunks if name == b"IDAT")
-    try:
-        unpacked = zlib.decompressobj().decompress(packed, size + 1)
-    except zlib.error as e:
-        raise BadInput(f"{where}: the thumbnail's pixels are damaged") from e
-    if len(unpacked) != size:
-        raise BadInput(f"{where}: the thumbnail's pixels are not {size} bytes")
-
-
 def _png_lengths_fit(data: bytes) -> bool:
     """Check that no chunk claims to be longer than the file."""
     at = len(PNG_SIGNATURE)
     while at + 12 <= len(data) and data[at + 4 : at + 8] != b"IEND":
         at += 12 + int.from_bytes(data[at : at + 4], "big")
     return at <= len(data)
-
-
-def _png_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
-    """Name and data of each chunk."""
-    if not data.startswith(PNG_SIGNATURE):
-        raise BadInput(f"{where}: the thumbnail is no PNG")
-    at = len(PNG_SIGNATURE)
-    while at < len(data):
-        length = int.from_bytes(data[at : at + 4], "big")
-        end = at + 12 + length
-        if end > len(data) or zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            raise BadInput(f"{where}: the thumbnail is damaged")
-        yield data[at + 4 : at + 8], data[at + 8 : end - 4]
-        at = end

@@ -19,6 +19,7 @@ from __future__ import annotations
 import h5py
 import numpy as np
 
+from assets.formats.packing import join_largest, split_largest
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.hdf5 import Hdf5Reader, write_dataset
 from core.distance_grid import DistanceGrid
@@ -151,10 +152,8 @@ def read_quantised_gaussians(file: Hdf5Reader) -> Gaussians:
 
 def packed_quaternions(quats: np.ndarray) -> np.ndarray:
     """Unit quaternions (N, 4) as uint32 (N,): 2 bits name the largest component, 10 bits hold each of the others."""
-    largest = np.abs(quats).argmax(1)
-    rows = np.arange(len(quats))
-    q = np.asarray(quats, np.float64) * np.where(quats[rows, largest] < 0, -1.0, 1.0)[:, None]
-    rest = q[np.arange(4) != largest[:, None]].reshape(-1, 3) * np.sqrt(2)  # the others are at most sqrt(1/2)
+    largest, others = split_largest(np.asarray(quats, np.float64))
+    rest = others * np.sqrt(2)  # at most 1
     half = 2 ** (QUAT_BITS - 1) - 1
     codes = (np.rint(rest.clip(-1, 1) * half).astype(np.int64) + half).astype(np.uint32)
     packed = largest.astype(np.uint32)
@@ -168,9 +167,7 @@ def unpacked_quaternions(packed: np.ndarray) -> np.ndarray:
     half, mask = 2 ** (QUAT_BITS - 1) - 1, np.uint32(2**QUAT_BITS - 1)
     rest = np.stack([packed >> np.uint32(2 + QUAT_BITS * k) & mask for k in range(3)], 1)
     rest = (rest.astype(np.float64) - half) / (half * np.sqrt(2))
-    q = np.empty((len(packed), 4))
-    q[np.arange(4) != (packed & np.uint32(3))[:, None]] = rest.ravel()
-    q[np.arange(len(q)), packed & np.uint32(3)] = np.sqrt((1 - (rest**2).sum(1)).clip(0))
+    q = join_largest(packed & np.uint32(3), rest)
     return (q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32)
 
 

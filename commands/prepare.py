@@ -129,7 +129,6 @@ def prepare(options: PrepareOptions) -> None:
         rig=o.rig,
         landmarks=o.landmarks,
         quantised=o.quantised,
-        pictures=True,
         page=bool(reports),
     )
     print(f"wrote {out}" + (f" and {reports[0]}" if reports else ""))

@@ -25,17 +25,40 @@ SAG_MAX = 0.05  # mean strain by which its weight shortens it
 # Root mean squares over a uniform column, of its end's deflection and of its height at unit mean strain
 COLUMN_BEND_RMS, COLUMN_SAG_RMS = 0.507, 0.730
 DIRECT_SIZE = 5000  # vertices, above which the equations are solved by iteration
+MASS_MAX = 3.0  # [kg] of an object without a named material: half of what a hand of 80 N can lift
+NOD = 0.003  # extents by which its own weight may displace any part; the photographs already show it sagged
 MODULI = (1, 2, 5)  # times powers of ten
 
 
 def suitable_material(vertices: np.ndarray, tets: np.ndarray) -> tuple[Material, dict[str, float]]:
     """The default material, stiffened if a body of this cage [m] needs that to bear its own weight; and its Young's
     modulus, as it was chosen and as it is needed, for the provenance."""
-    material = MATERIALS[DEFAULT_MATERIAL]
-    needed = bearing_modulus(vertices, tets, material)
-    if needed > material.young:
-        material = replace(material, young=min(rounded_up(needed), MATERIALS["wood"].young))
+    usual = MATERIALS[DEFAULT_MATERIAL]
+    needed = bearing_modulus(vertices, tets, usual)
+    material = stiffened(usual, rounded_up(needed) if needed > usual.young else 0.0)
     return material, {"young": material.young, "needed": float(f"{needed:.3g}")}
+
+
+def stiffened(material: Material, needed: float) -> Material:
+    """The material with a Young's modulus of `needed` [Pa] at least, and not above that of wood."""
+    return replace(material, young=max(material.young, min(needed, MATERIALS["wood"].young)))
+
+
+def steady(
+    material: Material, vertices: np.ndarray, tets: np.ndarray, down: np.ndarray, held: np.ndarray | None
+) -> Material:
+    """The material, stiffened if the weight of a body along `down` (3,) would move a part of it by more than NOD: else
+    it would not stay as it was photographed, even before anybody touches it. `held` vertices (V,); None: its foot."""
+    moved = np.linalg.norm(bent_by_weight(vertices, tets, material, down, held), axis=1).max()
+    return stiffened(material, material.young * float(moved / (NOD * np.ptp(vertices, axis=0).max())))
+
+
+def liftable(material: Material, volume: float) -> Material:
+    """The material of a body of this volume [m^3] that a hand can lift, as if it were hollow: lighter, and softer
+    in proportion, since it carries less weight."""
+    share = min(1.0, MASS_MAX / (material.density * volume))
+    young = max(material.young * share, min(material.young, MATERIALS[DEFAULT_MATERIAL].young))
+    return replace(material, density=share * material.density, young=young)
 
 
 def described(found: dict[str, float]) -> str:

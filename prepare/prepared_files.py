@@ -12,7 +12,6 @@ import numpy as np
 from assets.asset import Asset
 from assets.file_access import atomic_write_all
 from assets.formats.ply import write_ply
-from assets.images import thumbnail_of
 from assets.orientation import describe_guess, question
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
@@ -48,7 +47,6 @@ def prepare_file(
     landmarks: str | Path | None = None,
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
-    pictures: bool = False,
     page: bool = False,
     quantised: bool = False,
 ) -> Path:
@@ -58,7 +56,6 @@ def prepare_file(
     vertices  numbers to try in turn instead of the options', until there is a sound cage
     rig       a .glb whose motion the body takes over
     landmarks JSON file of the positions of the body's joints
-    pictures  draw a thumbnail into the asset
     page      also write the report beside it: ASSET.report.html and ASSET.report.json
     quantised store it small, with the losses of assets/quantisation.py
     Raises BadInput, naming the file.
@@ -107,9 +104,8 @@ def prepare_file(
     chances = asset.provenance["up_probabilities"]
     if page and question(chances):
         strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances)
-    if pictures or page:
+    if page:
         splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
-        asset = replace(asset, thumbnail=thumbnail_of(splat))
     texts = report_texts(asset, solids, out.name, notes=tuple(notes), splat=splat, up=strip) if page else ()
     files = [out, *([strip_name(out)] if strip is not None else []), *(report_names(out) if page else ())]
     with atomic_write_all(*files) as (beside, *others):

@@ -62,3 +62,21 @@ def test_the_parts_of_sim_import_only_those_before_them(package):
 def test_each_module_name_stands_once():
     names = Counter(path.stem for path in product_files() if path.stem != "__init__")
     assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_no_two_module_names_are_taken_for_each_other():
+    """Such as quantisation and quantization, which differ by one letter."""
+    told_apart = [("capture_room", "captured_room"), ("prepare", "prepared")]  # commands, and what they have made
+    names = sorted({path.stem for path in product_files() if len(path.stem) > 6})
+    alike = [(a, b) for k, a in enumerate(names) for b in names[k + 1 :] if letters_apart(a, b) <= 1]
+    assert alike == told_apart
+
+
+def letters_apart(a: str, b: str) -> int:
+    """Letters that must be changed, added or removed to make one of the other (Levenshtein)."""
+    row = list(range(len(b) + 1))
+    for i, x in enumerate(a, 1):
+        last, row[0] = row[0], i
+        for j, y in enumerate(b, 1):
+            last, row[j] = row[j], min(row[j] + 1, row[j - 1] + 1, last + (x != y))
+    return row[-1]

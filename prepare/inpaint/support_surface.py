@@ -15,6 +15,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.ndimage import binary_dilation, binary_opening, binary_propagation, distance_transform_edt, label
 from scipy.spatial import cKDTree
 
+from core.planes import fit_plane
 from core.threads import in_threads
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
 
@@ -191,9 +192,7 @@ def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surr
         weights = nearness * along * (1.0 - ((both - origin) @ normal / flat) ** 2).clip(0.0)
         if (weights[: len(points)] > 0).sum() < 10:
             return None
-        origin = np.average(both, axis=0, weights=weights)
-        found = np.linalg.eigh(np.cov((both - origin).T, aweights=weights))[1][:, 0]
-        normal = found * np.sign(found @ normal)
+        origin, normal = fit_plane(both, weights, normal)
     off = np.abs((points - origin) @ normal)[np.abs(own_normals @ normal) > PARALLEL]
     return origin, normal, 1.48 * float(np.median(off[off < flat]))
 

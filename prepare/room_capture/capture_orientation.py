@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from assets.gaussians import Gaussians
-from assets.orientation import OPAQUE, support_plane, up_of_cameras
+from assets.orientation import OPAQUE, support_plane, turned_about_up, up_of_cameras
 from core.errors import BadInput
 from core.measured_length import scale_between
 from core.rotation import rotation_between
@@ -143,5 +143,4 @@ def _front(poses: np.ndarray, upright: np.ndarray) -> tuple[np.ndarray, str]:
     most = np.linalg.norm(mean) > FRONT_MIN
     x, z = mean if most else ahead[0]
     turn = np.arctan2(-x, -z)  # of -ahead, which points to the viewer
-    c, s = np.cos(turn), np.sin(turn)
-    return np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]), "most photographs" if most else "first photograph"
+    return turned_about_up(-turn), "most photographs" if most else "first photograph"

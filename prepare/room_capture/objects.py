@@ -14,16 +14,15 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.spatial import ConvexHull, cKDTree
 
-from assets.asset import Asset, Cage
+from assets.asset import Asset
 from assets.gaussians import Gaussians, robust_bounds
 from assets.room_folder import RoomObject
 from core.distance_grid import SKIN_VOXELS, DistanceGrid
 from core.errors import BadInput
-from core.material import DEFAULT_MATERIAL, MATERIALS, Material
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
 from core.tetmesh import tet_volumes
 from prepare.cage.cage_generation import NoSoundCage
-from prepare.own_weight import bent_by_weight
+from prepare.own_weight import liftable, steady
 from prepare.pipeline import Options, prepare
 from prepare.progress import Progress, no_progress
 
@@ -32,8 +31,6 @@ TOUCH = 0.06  # object sizes: a gap up to this is contact
 NEIGHBOURS = 6  # nearest Gaussians of the rest tested for each of the object's
 TOUCHES_MIN = 4  # Gaussians in contact; with fewer the object touches nothing
 BASE = 0.2  # fraction of an object's height that counts as its foot
-MASS_MAX = 3.0  # [kg] of an object without a named material: half of what a hand of 80 N can lift
-NOD = 0.003  # object sizes by which its own weight may displace any part; the photographs already show it sagged
 HELD = 0.15, 0.45  # least and most of a hanging object, from its support on, that is fixed; fractions of its extent
 
 
@@ -133,26 +130,11 @@ def object_body(
     fixed = None if support.stands else float(np.clip(held, *(heights.min() + np.multiply(HELD, np.ptp(heights)))))
     if material is None:
         light = liftable(asset.material, float(asset.cage.volumes().sum()))
-        asset = replace(asset, material=steady(light, asset.cage, turn @ [0.0, -1.0, 0.0], fixed))
+        held = None if fixed is None else heights < fixed
+        light = steady(light, asset.cage.vertices, asset.cage.tets, turn @ [0.0, -1.0, 0.0], held)
+        asset = replace(asset, material=light)
     rotation = tuple(map(float, quaternions_from_matrices(turn.T)))
     return asset, RoomObject(name, file, tuple(map(float, position)), rotation, fixed)
-
-
-def liftable(material: Material, volume: float) -> Material:
-    """The material of a body of this volume [m^3] that a hand can lift, as if it were hollow: lighter, and softer
-    in proportion, since it carries less weight."""
-    share = min(1.0, MASS_MAX / (material.density * volume))
-    young = max(material.young * share, min(material.young, MATERIALS[DEFAULT_MATERIAL].young))
-    return replace(material, density=share * material.density, young=young)
-
-
-def steady(material: Material, cage: Cage, down: np.ndarray, fixed_below: float | None) -> Material:
-    """The material, stiffened if the weight of a body along `down` (3,) would move a part of it by more than NOD: else
-    it would not stay as it was photographed, even before anybody touches it."""
-    held = None if fixed_below is None else cage.vertices[:, 1] < fixed_below
-    moved = np.linalg.norm(bent_by_weight(cage.vertices, cage.tets, material, down, held), axis=1).max()
-    needed = material.young * float(moved / (NOD * np.ptp(cage.vertices, axis=0).max()))
-    return replace(material, young=max(material.young, min(needed, MATERIALS["wood"].young)))
 
 
 def object_files(names: Sequence[str]) -> list[str]:

@@ -32,6 +32,12 @@ def some_asset(n: int = 20) -> Asset:
     )
 
 
+def test_a_dataset_that_nothing_reads_does_no_harm(tmp_path):
+    """Files of before have a thumbnail."""
+    path = edited(tmp_path, lambda file: file.create_dataset("thumbnail", data=np.zeros(9, np.uint8)))
+    assert len(Asset.load(path).gaussians) == 20
+
+
 def refused(path) -> str:
     """The one line with which loading the file is refused."""
     with pytest.raises(BadInput) as error:

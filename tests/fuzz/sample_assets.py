@@ -9,7 +9,6 @@ import numpy as np
 from assets.animation import Animation
 from assets.asset import Asset
 from assets.environment import Environment
-from assets.images import thumbnail_of
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from tests.assets.test_quantisation import embedded
@@ -24,7 +23,7 @@ def sphere_grid(nodes: int, spacing: float) -> DistanceGrid:
 
 
 def moving_body() -> Asset:
-    """A bar with a cage, an embedding, a grid, a material, a thumbnail and a motion of two joints."""
+    """A bar with a cage, an embedding, a grid, a material and a motion of two joints."""
     asset = embedded(n=60, exact=4)
     surface = np.unique(asset.cage.surface).astype(np.int32)
     count, frames = len(surface), 5
@@ -50,7 +49,6 @@ def moving_body() -> Asset:
         sdf=sphere_grid(7, 0.1),
         material=Material(5e4, 0.4, 1100.0, damping=1.0, kinetic_friction=0.25),
         animation=animation,
-        thumbnail=thumbnail_of(np.zeros((40, 60, 3), np.uint8)),
         provenance={"source": "test.ply", "options": {"vertices": 500}, "steps": [1, 2]},
     )
 

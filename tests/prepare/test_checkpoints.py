@@ -1,18 +1,13 @@
-"""A stopped preparation resumes; its progress on the screen; the thumbnail in the asset."""
+"""A stopped preparation resumes; its progress on the screen."""
 
 import io
-import zlib
 from dataclasses import asdict
 
-import cv2
-import h5py
 import numpy as np
 import pytest
 
 from assets.asset import Asset
-from assets.images import THUMBNAIL_SIDE, check_thumbnail, thumbnail_of
 from assets.splat_files import write_gaussians
-from core.errors import BadInput
 from prepare.checkpoints import Checkpoints
 from prepare.pipeline import STEPS, VERSION, Options
 from prepare.prepared_files import prepare_file
@@ -110,52 +105,3 @@ def test_a_terminal_gets_a_bar_and_a_file_gets_lines():
     shares = [line.count("█") for line in shown[:-1]]
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 28
     assert [line.split()[1] for line in file.getvalue().splitlines()] == list(STEPS)
-
-
-def small_asset(**changes) -> Asset:
-    return Asset(ball(50), **changes)
-
-
-def picture() -> np.ndarray:
-    return np.random.default_rng(0).integers(0, 255, (48, 56, 3), dtype=np.uint8)
-
-
-def test_a_thumbnail_is_kept_and_old_files_need_none(tmp_path):
-    small_asset(thumbnail=thumbnail_of(picture())).save(tmp_path / "a.h5")
-    again = cv2.imdecode(Asset.load(tmp_path / "a.h5").thumbnail, cv2.IMREAD_COLOR)
-    assert again.shape == (THUMBNAIL_SIDE, THUMBNAIL_SIDE, 3)
-    small_asset().save(tmp_path / "b.h5")
-    assert Asset.load(tmp_path / "b.h5").thumbnail is None
-
-
-def png(width: int, height: int, pixels: bytes) -> bytes:
-    """A grey PNG that claims its size."""
-
-    def chunk(name: bytes, data: bytes) -> bytes:
-        return len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
-
-    header = width.to_bytes(4, "big") + height.to_bytes(4, "big") + bytes([8, 0, 0, 0, 0])
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(pixels)) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + body
-
-
-def test_a_thumbnail_that_is_no_small_png_is_refused(tmp_path):
-    good = thumbnail_of(picture()).tobytes()
-    check_thumbnail(np.frombuffer(png(4, 3, bytes(15)), np.uint8), "here")
-    bad = {
-        "no PNG": b"GIF89a" + good[6:],
-        "damaged": good[:-3],
-        "is damaged": good[:300] + bytes([good[300] ^ 1]) + good[301:],
-        "no whole": good[:33],
-        "100000x3": png(100_000, 3, bytes(15)),
-        "not 15 bytes": png(4, 3, bytes(10_000_000)),
-        "not 15": png(4, 3, bytes(14)),
-    }
-    for message, content in bad.items():
-        with pytest.raises(BadInput, match=f"here: .*{message}"):
-            check_thumbnail(np.frombuffer(content, np.uint8), "here")
-    small_asset(thumbnail=np.frombuffer(good, np.uint8)).save(tmp_path / "a.h5")
-    with h5py.File(tmp_path / "a.h5", "a") as file:
-        file["thumbnail"][300] ^= 1
-    with pytest.raises(BadInput, match=r"a\.h5: the thumbnail is damaged"):
-        Asset.load(tmp_path / "a.h5")

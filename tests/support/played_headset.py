@@ -1,11 +1,9 @@
-"""played_headset.py LOG FRAMES [--placed] SCENE ...: the program in a headset, led by each scene's scripted player.
+"""played_headset.py LOG FRAMES SCENE ...: the program in a headset, led by each scene's scripted player.
 
 What the script's hands do, the controllers do: that goes through Monado's remote driver and comes back as the player's
 hands. Where a hand is to grip, it first goes to the nearest point of a body within the script's reach, as a user would
 who sees it: a controller reaches less far. The script waits for the controllers, and the head walks along. Each scene
 ends once a body was held for a while, or after FRAMES frames; a JSON line in LOG says how it went.
-
---placed  bodies are boxes without physics that stay where they are put, and nothing is drawn: quick
 """
 
 import json
@@ -19,11 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import display.world
 import vrgs
-from core.vocabulary import BodyState
-from display.protocol import WorldView
-from display.timing import Timings
 from display.xr import headset, player
-from scenes.roles import bounds
 from tests.support.remote_headset import PORT
 from tests.support.remote_headset import Player as Wearer
 
@@ -34,72 +28,6 @@ STEP = 0.1  # [s] by which the script goes on in a frame at most
 REST_FRAMES = 2  # after which a controller may be where it was sent
 PATIENCE = 20  # frames that a hand tries to take something
 SMALL = "0.3"  # of the recommended size: pictures are looked at elsewhere
-
-
-class PlacedWorld(WorldView):
-    """The scene's bodies as boxes: a hand that grips within its reach of one carries it."""
-
-    def __init__(self, scene, *, width: int, height: int, views: int, interaction: str, **options):
-        import taichi as ti
-
-        self.scene, self.light, self.timings, self.interaction = scene, scene.light, Timings(), interaction
-        self.editable, self.picture_size, self.views, self.time = True, (width, height), views, 0.0
-        self._names = [b.asset for b in scene.bodies if b.material is not None]
-        self._boxes = [np.array(bounds(b.asset, b)) for b in scene.bodies if b.material is not None]
-        self._holds: dict[int, tuple[int, np.ndarray]] = {}  # by hand: the body, and where it is from there
-        self.picture = ti.ndarray(ti.u32, (views * height, width))
-
-    def warm_up(self) -> None:
-        pass
-
-    draw_start = warm_up
-
-    def resize(self, width: int, height: int) -> None:
-        import taichi as ti
-
-        self.picture_size, self.picture = (width, height), ti.ndarray(ti.u32, (self.views * height, width))
-
-    def step(self, frame) -> None:
-        self.time += frame.dt
-        for k, hand in enumerate(frame.hands):
-            at = np.array(hand.position)
-            distances = [np.linalg.norm(at - at.clip(*box)) for box in self._boxes]
-            if not hand.grip:
-                self._holds.pop(k, None)
-            elif k not in self._holds and min(distances) <= hand.reach:
-                body = int(np.argmin(distances))
-                self._holds[k] = body, self._boxes[body] - at
-            if k in self._holds:
-                body, offset = self._holds[k]
-                self._boxes[body] = offset + at
-        frame.cameras() if callable(frame.cameras) else None
-        self.scene.game.update(self.time, self.bodies())
-
-    def bodies(self) -> list[BodyState]:
-        held = {body for body, _ in self._holds.values()}
-        up = np.array([0.0, 1.0, 0.0])
-        return [
-            BodyState(name, box.mean(0), np.zeros(3), *box, up, k in held)
-            for k, (name, box) in enumerate(zip(self._names, self._boxes, strict=True))
-        ]
-
-    def scripted_hands(self, time: float):
-        return self.scene.game.hands(time, self.bodies())
-
-    def nearest(self, at: np.ndarray) -> np.ndarray:
-        """The nearest point of a body."""
-        return min((at.clip(*box) for box in self._boxes), key=lambda p: np.linalg.norm(p - at))
-
-    @property
-    def score(self):
-        return self.scene.game.score
-
-    @property
-    def message(self) -> str:
-        return self.scene.game.message
-
-    def stats(self) -> dict:
-        return {"gaussians": 0, "vertices": 0, "tets": 0, "substeps": 0, "dt": 0.0, "score": self.score, "finite": True}
 
 
 class Play:
@@ -173,7 +101,7 @@ class Play:
         self.wearer.position = (float(head[0]), EYE_HEIGHT, float(head[2]))
 
 
-class RealWorld(display.world.World):
+class PlayedWorld(display.world.World):
     """The world itself; what is not needed is not compiled."""
 
     def warm_up(self) -> None:
@@ -185,11 +113,11 @@ class RealWorld(display.world.World):
         return x[np.argmin(np.linalg.norm(x - at, axis=1))].astype(float)
 
 
-def play(name: str, frames: int, world_type: type) -> dict:
+def play(name: str, frames: int) -> dict:
     """Play a scene in the headset."""
     now = Play(frames)
 
-    class Watched(world_type):
+    class Watched(PlayedWorld):
         def step(self, frame):
             super().step(frame)
             now.after(self, frame)
@@ -209,8 +137,6 @@ def play(name: str, frames: int, world_type: type) -> dict:
 
 if __name__ == "__main__":
     log, frames, *names = sys.argv[1:]
-    placed = "--placed" in names
     with open(log, "w", encoding="utf-8", buffering=1) as file:
-        for name in names[placed:]:
-            row = play(name, int(frames), PlacedWorld if placed else RealWorld)
-            file.write(json.dumps(row) + "\n")
+        for name in names:
+            file.write(json.dumps(play(name, int(frames))) + "\n")

@@ -19,6 +19,7 @@ DEMONSTRATION = "A demonstration plays. P or Esc ends it, and so does a grip."
 PAUSED = "Paused. Space continues."
 FADE_TIME = 0.8  # [s] of the hint
 HINT_SIZE = 18.0  # [px] of its text in a window of FULL_HEIGHT
+HINT_PADDING = 0.7  # of other windows
 FULL_HEIGHT, MIN_FACTOR = 540.0, 0.65  # [px] of the window; a smaller one has a smaller hint, which hides less of it
 HELP_COLUMN = 320.0  # [px] of the card's two
 NEAR = 1e-3  # [m]: lines nearer than this, or behind the eye, are cut off
@@ -31,17 +32,20 @@ TextLine = list[tuple[str, tuple[float, ...]]]  # texts side by side, with their
 
 
 def text_box(
-    name: str, lines: Sequence[TextLine], left: float, *, gap: float, bottom: bool = False, opacity: float = 1.0
+    name: str, lines: Sequence[TextLine], left: float, *, gap: float, scale: float = 1.0, bottom: bool = False
 ) -> None:
     """Draw lines of text on glass at the upper or lower edge: in the middle, or right of `left` [px] where that covers
-    the middle. `gap` [px] is between texts side by side.
+    the middle. `gap` [px] is between texts side by side; `scale` is that of the glass.
 
     The size is computed here: a window that ImGui fits to its content is cut off in its first frame, which is the one
     that stays on the screen while something takes long.
     """
     from imgui_bundle import imgui
 
-    style, area, edge = imgui.get_style(), imgui.get_io().display_size, pixels(MARGIN)
+    style, area, edge = imgui.get_style(), imgui.get_io().display_size, pixels(MARGIN) * scale
+    imgui.push_style_var(
+        imgui.StyleVar_.window_padding, (style.window_padding.x * scale, style.window_padding.y * scale)
+    )
     longest = max(area.x - left - 2 * edge - 2 * style.window_padding.x, pixels(100))
     extents = [[imgui.calc_text_size(text, False, longest) for text, _ in line] for line in lines]
     width = min(max(sum(e.x for e in line) + gap * (len(line) - 1) for line in extents), longest)
@@ -52,7 +56,6 @@ def text_box(
     imgui.set_next_window_size(size)
     flags = imgui.WindowFlags_
     still = flags.no_decoration | flags.no_inputs | flags.no_saved_settings | flags.no_bring_to_front_on_focus
-    imgui.push_style_var(imgui.StyleVar_.alpha, opacity)
     imgui.begin(name, None, still | flags.no_nav | flags.no_focus_on_appearing)
     for line in lines:
         for k, (text, colour) in enumerate(line):
@@ -108,7 +111,9 @@ class FirstHint:
             line += [(what, ACCENT), (does, TEXT)]
         factor = min(max(imgui.get_io().display_size.y / pixels(FULL_HEIGHT), MIN_FACTOR), 1.0)
         imgui.push_font(None, HINT_SIZE * factor)
-        text_box("hint", [line], left, gap=pixels(5) * factor, bottom=True, opacity=opacity)
+        imgui.push_style_var(imgui.StyleVar_.alpha, opacity)
+        text_box("hint", [line], left, gap=pixels(5) * factor, scale=HINT_PADDING * factor, bottom=True)
+        imgui.pop_style_var()
         imgui.pop_font()
 
 

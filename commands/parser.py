@@ -80,10 +80,9 @@ def parse(argv: Sequence[str]) -> tuple[Callable[[Options], int | None] | None, 
     for i in range(len(argv) - 2, -1, -1):  # argparse would take the -y of `--up -y` for an option
         if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):
             argv[i : i + 2] = [f"--up={argv[i + 1]}"]
-    scene_file = scene_file_in(argv)
-    at = 0 if argv and argv[0] in COMMANDS else command_position(playing_parser(scene_file), argv)
+    at = 0 if argv and argv[0] in COMMANDS else command_position(playing_parser(argv), argv)
     name = None if at is None else argv.pop(at)
-    parser = playing_parser(scene_file) if name is None else command_parser(name, scene_file)
+    parser = playing_parser(argv) if name is None else command_parser(name, argv)
     given = given_flags(parser, argv, name)
     function, kind = (None, playing_options()) if name is None else command(name)
     several = any(action.nargs in ("+", "*") for action in parser._get_positional_actions())
@@ -111,23 +110,23 @@ def playing_options() -> type[Options]:
     return PlayOptions
 
 
-def playing_parser(scene_file: str | None = None) -> Parser:
+def playing_parser(argv: Sequence[str] = ("--help",)) -> Parser:
     """The parser of what is played without a command, whose help lists the commands."""
     kind = playing_options()
     parser = new_parser("vrgs.py", SUMMARY, "examples:", kind.EXAMPLES)
     parser.add_argument("--version", action="version", version=f"vrgs {VERSION}")
-    add_all_options(parser, kind, scene_file)
+    add_all_options(parser, kind, argv)
     listed = parser.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
     for name, (_, help) in COMMANDS.items():
         listed.add_parser(name, help=help, add_help=False)
     return parser
 
 
-def command_parser(name: str, scene_file: str | None = None) -> Parser:
+def command_parser(name: str, argv: Sequence[str] = ("--help",)) -> Parser:
     """The parser of a command."""
     kind = command(name)[1]
     parser = new_parser(f"vrgs.py {name}", COMMANDS[name][1], "example:", kind.EXAMPLES)
-    add_all_options(parser, kind, scene_file)
+    add_all_options(parser, kind, argv)
     return parser
 
 
@@ -138,11 +137,16 @@ def new_parser(program: str, summary: str, title: str, examples: Iterable[str]) 
     return Parser(prog=as_called(program), description=summary, epilog=title + lines, formatter_class=formatter)
 
 
-def add_all_options(parser: Parser, kind: type[Options], scene_file: str | None) -> None:
-    """Add the options of a dataclass, and where it has a field `options`, those of scenes."""
+def add_all_options(parser: Parser, kind: type[Options], argv: Sequence[str]) -> None:
+    """Add the options of a dataclass, and where it has a field `options`, those of scenes if a command line needs them.
+
+    All scenes are imported to know them, so they are added only for the help, or if a flag is not known without them.
+    """
     add_options(parser, kind)
     if any(field.name == "options" for field in fields(kind)):
-        add_scene_options(parser, scene_file)
+        flags = [word for word in argv if word.startswith("-")]
+        if {"-h", "--help"} & {*flags} or any(named_option(parser, word) is None for word in flags):
+            add_scene_options(parser, scene_file_in(argv))
 
 
 def add_scene_options(parser: Parser, scene_file: str | None) -> None:

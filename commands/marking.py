@@ -15,10 +15,9 @@ from core.errors import BadInput
 from display.mark.mark_edit import Mark, MarkEdit, MarkState
 from display.mark.mark_window import FreeView
 from display.window.mouse import OrbitCamera
-from prepare.segment.marks import Marks, ViewMarks, drawn_boxes, drawn_strokes
+from prepare.segment.marks import Marks, SplatMarks, ViewMarks, drawn_boxes, drawn_strokes
 from prepare.segment.mask_files import check_name, object_colors, overlay
 from prepare.segment.mask_propagation import grab_cut
-from prepare.segment.splat_marks import SplatMarks
 from prepare.train.photographs import read_image
 
 ORIENTATION_SAMPLE = 30_000  # Gaussians from which the up axis is guessed

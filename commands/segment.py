@@ -17,7 +17,7 @@ from core.errors import BadInput
 from core.runtime import start_taichi
 
 if TYPE_CHECKING:
-    from prepare.segment.splat_marks import SplatMarks
+    from prepare.segment.marks import SplatMarks
 
 WINDOW_SIZE, SPLAT_WINDOW_SIZE = (1200, 680), (1200, 640)  # in screen coordinates
 MARKS_FILE = "marks.json"  # in the output folder
@@ -254,7 +254,7 @@ def take_objects(options: SegmentOptions) -> None:
 def _take_objects(options: SegmentOptions) -> None:
     """As `take_objects`, in the locked folder."""
     from display.picture import save_picture
-    from prepare.segment.splat_marks import read_splat_marks, write_splat_marks
+    from prepare.segment.marks import read_splat_marks, write_splat_marks
     from prepare.segment.splat_segmentation import output_files, overlay_of, segment_splat, write_segmented
 
     if options.marks is None:
@@ -283,7 +283,7 @@ def marked_splats(options: SegmentOptions) -> SplatMarks:
     """
     from commands.marking import SplatSubject, check_window, edit_of
     from display.mark.mark_window import marked_in_window
-    from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
+    from prepare.segment.marks import SplatMarks, read_splat_marks, write_splat_marks
 
     check_window()
     path = options.out / MARKS_FILE

@@ -39,6 +39,20 @@ class Camera:
         d = self.world_to_camera[:3, :3].T @ d
         return self.position, d / np.linalg.norm(d)
 
+    def projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Picture positions x, y (...) [px] of points (..., 3), and their depths (...) along the axis [m]; positions
+        mean nothing where the depth is not positive."""
+        local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        z = local[..., 2]
+        ahead = np.where(z > 1e-9, z, 1.0)
+        return self.fx * local[..., 0] / ahead + self.cx, self.fy * local[..., 1] / ahead + self.cy, z
+
+    def points_at(self, depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Points (N, 3) in the world at the middles of the pixels (N,) x and y of a picture with depths (H, W) [m]."""
+        z = depth[y, x].astype(np.float64)
+        local = np.column_stack([(x + 0.5 - self.cx) / self.fx * z, (y + 0.5 - self.cy) / self.fy * z, z])
+        return (local - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
+
 
 def look_at(eye, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
     """`world_to_camera` (4, 4) of a camera at `eye` that looks at `target`."""

@@ -133,11 +133,8 @@ def within_object(
 
 def image_positions(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions (..., 2) float32 of points (..., 3) for cv2.remap, far outside behind the camera; their depth z [m]."""
-    p = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    z = p[..., 2]
-    ahead = z > 1e-9
-    safe = np.where(ahead, z, 1.0)
-    at = np.stack([camera.fx * p[..., 0] / safe + camera.cx, camera.fy * p[..., 1] / safe + camera.cy], axis=-1) - 0.5
+    x, y, z = camera.projected(points)
+    at, ahead = np.stack([x, y], axis=-1) - 0.5, z > 1e-9
     return np.where(ahead[..., None], at, -1e6).clip(-1e6, 1e6).astype(np.float32), z
 
 

@@ -87,7 +87,7 @@ def rim_points(views: list[HoleView], ball: Surroundings, rng: np.random.Generat
     for view in views:
         seen = (view.alpha > 0.9) & ~binary_dilation(view.object_alpha > TRACE, iterations=HALO)
         y, x = np.nonzero(seen)
-        at = unproject(view, x, y)
+        at = view.camera.points_at(view.depth, x, y)
         near = np.flatnonzero(np.linalg.norm(at - ball.centre, axis=1) < NEAR * ball.radius)
         found.append(at[near[rng.permutation(len(near))[: max(50, 4 * POINTS // len(views))]]])
     points = np.concatenate(found)
@@ -96,13 +96,6 @@ def rim_points(views: list[HoleView], ball: Surroundings, rng: np.random.Generat
         return points, np.zeros_like(points)
     # Of neighbours from all views: between a picture's pixels, the noise of its depth is larger than the slope.
     return points, normals_of(points)
-
-
-def unproject(view: HoleView, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Points (N, 3) [m] of the background at the middles of pixels."""
-    c, z = view.camera, view.depth[y, x].astype(np.float64)
-    p = np.stack([(x + 0.5 - c.cx) / c.fx * z, (y + 0.5 - c.cy) / c.fy * z, z], axis=1)
-    return (p - c.world_to_camera[:3, 3]) @ c.world_to_camera[:3, :3]
 
 
 def support_surfaces(

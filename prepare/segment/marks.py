@@ -1,4 +1,8 @@
-"""The user's marks in photographs: strokes inside and outside of objects, and boxes around them."""
+"""Marks of objects in photographs or in pictures of a splat: strokes inside and outside, and boxes around them.
+
+A file of marks on a splat also holds the cameras of its pictures:
+{"views": {"view_1": camera, ...}, "objects": {"bear": {"view_1": {"inside": [...], ...}}}, "grow": {"bear": 1}}
+"""
 
 from __future__ import annotations
 
@@ -10,14 +14,19 @@ from typing import Annotated
 
 import numpy as np
 
+from assets.camera_file import parse_camera
 from assets.file_access import atomic_write, read_json
+from core.camera import Camera
 from core.errors import BadInput
-from core.typed import Shape, from_plain
+from core.typed import Range, Shape, from_plain, to_plain
 from prepare.segment.mask_files import JSON_MAX, OBJECTS_MAX, check_name
 
 FORM = '{"objects": {"NAME": {"PHOTOGRAPH.jpg": {"inside": [[[x, y], ...], ...], "outside": [...], "boxes": [...]}}}}'
 POINTS_MAX = 100_000  # in all strokes on an object in a view
 Stroke, Box = Annotated[np.ndarray, Shape(None, 2)], Annotated[np.ndarray, Shape(4)]
+VIEWS_MAX = 1000
+Rings = dict[str, Annotated[int, Range(-50, 50)]]  # of neighbours, by the object's name
+FILE_MAX = 16 * JSON_MAX
 
 
 @dataclass
@@ -61,7 +70,7 @@ def read_marks(path: str | Path, sizes: Mapping[str, tuple[int, int]]) -> Marks:
     Raises BadInput for an unknown photograph, for marks outside of it, and for an object without marks inside.
     """
     path = Path(path)
-    return marks_of(read_json(path, 16 * JSON_MAX), sizes, str(path))
+    return marks_of(read_json(path, FILE_MAX), sizes, str(path))
 
 
 def marks_of(data, sizes: Mapping[str, tuple[int, int]], where: str) -> Marks:
@@ -100,9 +109,12 @@ def check_view(marks: ViewMarks, size: tuple[int, int], where: str) -> None:
 
 def write_marks(path: str | Path, marks: Marks) -> None:
     """Write marks as JSON. Raises BadInput."""
-    text = json.dumps({"objects": marks_json(marks)}, indent=1, ensure_ascii=False)
+    _write(path, {"objects": marks_json(marks)})
+
+
+def _write(path: str | Path, data: dict) -> None:
     with atomic_write(path) as beside:
-        beside.write_text(text + "\n", encoding="utf-8")
+        beside.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def marks_json(marks: Marks) -> dict:
@@ -142,3 +154,38 @@ def drawn_boxes(boxes: list[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
 def _some(names: Mapping[str, object]) -> str:
     shown = sorted(names)[:3]
     return ", ".join(shown) + (f" and {len(names) - len(shown)} more" if len(names) > len(shown) else "")
+
+
+@dataclass
+class SplatMarks:
+    """Marks on pictures of a splat.
+
+    cameras  of the pictures by name, in the frame of the splat's file
+    grow     rings of neighbours by which an object's selection is grown, or shrunk if negative, by its name
+    """
+
+    cameras: dict[str, Camera] = field(default_factory=dict)
+    marks: Marks = field(default_factory=Marks)
+    grow: dict[str, int] = field(default_factory=dict)
+
+
+def read_splat_marks(path: str | Path) -> SplatMarks:
+    """The marks and cameras in a JSON file. Raises BadInput."""
+    path = Path(path)
+    data = read_json(path, FILE_MAX)
+    views = data.get("views") if isinstance(data, dict) else None
+    if not isinstance(views, dict) or not 0 < len(views) <= VIEWS_MAX:
+        raise BadInput(f'{path}: no "views"; marks on a splat need the cameras of its pictures: {{"view_1": camera}}')
+    cameras = {name: parse_camera(f"{path}: {name}", item) for name, item in views.items()}
+    marks = marks_of(data, {name: (c.width, c.height) for name, c in cameras.items()}, str(path))
+    grow = from_plain(Rings, data.get("grow", {}), f"{path}: grow")
+    if strange := set(grow) - set(marks.objects):
+        raise BadInput(f'{path}: "grow" names {min(strange)!r:.60}, which is not marked')
+    return SplatMarks(cameras, marks, grow)
+
+
+def write_splat_marks(path: str | Path, marks: SplatMarks) -> None:
+    """Write marks and cameras as JSON. Raises BadInput."""
+    cameras = {name: to_plain(camera) for name, camera in marks.cameras.items()}
+    grow = {name: rings for name, rings in marks.grow.items() if rings}
+    _write(path, {"views": cameras, "objects": marks_json(marks.marks), "grow": grow})

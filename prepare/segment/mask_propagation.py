@@ -19,8 +19,6 @@ from prepare.segment.surface_cloud import (
     depths_of_points,
     depths_of_splats,
     planes_behind,
-    points_at,
-    seen_by,
     silhouettes,
     spread,
     surface_cloud,
@@ -215,11 +213,11 @@ class MarkPropagation:
         side = 2 * round(VOTE_REACH * float(np.hypot(*depth.shape))) + 1
         around = cv2.dilate((own > 0).astype(np.uint8), np.ones((side, side), np.uint8)) > 0
         y, x = np.nonzero(around & (depth > 0))
-        points = points_at(camera, depth, x, y)
+        points = camera.points_at(depth, x, y)
         votes = np.eye(labels)[own[y, x]]
         away = [np.linalg.norm(c.position - camera.position) for c in self.cameras]
         for j in np.argsort(away)[1 : VOTERS + 1]:
-            u, v, z = seen_by(self.cameras[j], points)
+            u, v, z = self.cameras[j].projected(points)
             height, width = self.depths[j].shape
             there = np.flatnonzero((z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height))
             row, column = v[there].astype(int), u[there].astype(int)
@@ -294,7 +292,7 @@ class MarkPropagation:
                 y, x = np.nonzero(mask & (self.depths[k] > 0))
                 own = _one_surface(self.depths[k][y, x])
                 y, x = y[own], x[own]
-                places[self.names[label - 1]].append(points_at(self.cameras[k], self.depths[k], x, y))
+                places[self.names[label - 1]].append(self.cameras[k].points_at(self.depths[k], x, y))
         found = {name: np.concatenate(p) if p else np.zeros((0, 3)) for name, p in places.items()}
         for name, points in found.items():
             if not len(points):
@@ -317,7 +315,7 @@ class MarkPropagation:
             for label, mask in strokes:
                 if label == 0:
                     y, x = np.nonzero(mask & (self.depths[k] > 0))
-                    yield points_at(self.cameras[k], self.depths[k], x, y)
+                    yield self.cameras[k].points_at(self.depths[k], x, y)
 
     def _nearest(self, points: np.ndarray) -> np.ndarray:
         """Indices of the cloud's points at given points."""
@@ -327,7 +325,7 @@ class MarkPropagation:
     def _apply_boxes(self) -> None:
         """Remove an object from all surfaces that a view with a box of it shows outside the box."""
         for k, boxes in self._forbidden.items():
-            x, y, z = seen_by(self.cameras[k], self.cloud.points)
+            x, y, z = self.cameras[k].projected(self.cloud.points)
             height, width = self.depths[k].shape
             there = np.flatnonzero((z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height))
             row, column = y[there].astype(int), x[there].astype(int)
@@ -343,7 +341,7 @@ class MarkPropagation:
         likely = np.zeros((*depth.shape, self.labels.shape[1]))
         likely[..., 0] = 1.0
         y, x = np.nonzero(depth > 0)
-        p = points_at(self.cameras[k], depth, x, y)
+        p = self.cameras[k].points_at(depth, x, y)
         low, high = cloud.points.min(axis=0) - cloud.spacing, cloud.points.max(axis=0) + cloud.spacing
         near = np.flatnonzero(((p > low) & (p < high)).all(axis=1))
         distance, index = cloud.tree.query(p[near], k=4, distance_upper_bound=REACH * cloud.spacing)

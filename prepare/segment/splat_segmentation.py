@@ -30,10 +30,9 @@ from core.rotation import quaternions_from_matrices
 from core.spherical_harmonics import C0
 from prepare.blending_weights import BlendingWeights
 from prepare.segment.graph_cut import mahalanobis
-from prepare.segment.marks import ViewMarks
+from prepare.segment.marks import SplatMarks, ViewMarks
 from prepare.segment.mask_files import object_colors
 from prepare.segment.object_ids import split
-from prepare.segment.splat_marks import SplatMarks
 from prepare.segment.splat_selection import Seeds, SplatSelection, ViewSeeds, seeds_of, view_seeds
 
 RESERVED = ("background", "scene")  # names of output files

@@ -175,11 +175,9 @@ def strongest(weights: np.ndarray) -> np.ndarray:
 
 def in_boxes(gaussians: Gaussians, camera: Camera, boxes: list[np.ndarray]) -> np.ndarray:
     """Gaussians (N,) bool whose centre projects into a box of the picture."""
-    p = gaussians.means.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    z = np.maximum(p[:, 2], 1e-9)
-    x, y = camera.fx * p[:, 0] / z + camera.cx, camera.fy * p[:, 1] / z + camera.cy
+    x, y, z = camera.projected(gaussians.means.astype(np.float64))
     within = [(x >= b[0]) & (x <= b[2]) & (y >= b[1]) & (y <= b[3]) for b in boxes]
-    return np.any(within, axis=0) & (p[:, 2] > 0)
+    return np.any(within, axis=0) & (z > 0)
 
 
 class SplatSelection:

@@ -67,26 +67,12 @@ def depths_of_points(points: np.ndarray, cameras: list[Camera], report: Progress
     """As `depths_of_splats`, of points (P, 3) alone: that of the nearest visible one in the picture."""
     depths = []
     for k, camera in enumerate(cameras):
-        x, y, z = seen_by(camera, points)
+        x, y, z = camera.projected(points)
         there = (z > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
         at, z = np.column_stack([x, y])[there], z[there]
         depths.append(_interpolated(at, z, (camera.height, camera.width)))
         report("depths", (k + 1) / len(cameras))
     return depths
-
-
-def seen_by(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixel positions x, y (N,), and depths (N,) of points; those behind the camera have depths below 0."""
-    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    z = np.where(np.abs(local[:, 2]) < 1e-12, -1e-12, local[:, 2])
-    return camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy, z
-
-
-def points_at(camera: Camera, depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """World points (N, 3) at pixels (N,) whole x and y of a view with depths (H, W)."""
-    z = depth[y, x].astype(np.float64)
-    local = np.column_stack([(x + 0.5 - camera.cx) / camera.fx * z, (y + 0.5 - camera.cy) / camera.fy * z, z])
-    return (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
 
 
 def _interpolated(at: np.ndarray, z: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -137,7 +123,7 @@ def surface_cloud(
     for camera, depth, picture in zip(cameras, depths, pictures, strict=True):
         good = ~silhouettes(depth)
         y, x = np.nonzero(good[::stride, ::stride])
-        p = points_at(camera, depth, stride * x, stride * y)
+        p = camera.points_at(depth, stride * x, stride * y)
         near = np.linalg.norm(p - centre, axis=1) < radius
         points.append(p[near])
         colors.append(picture[stride * y[near], stride * x[near]] / 255.0)

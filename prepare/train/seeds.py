@@ -62,10 +62,8 @@ def with_background(capture: Capture, photographs: Sequence[Photograph], rng: np
 def _pixels_without_points(points: np.ndarray, p: Photograph, rng: np.random.Generator) -> tuple:
     """Rows and columns of random pixels of the cells in which no point lies, of those that count and are not black."""
     height, width = p.mask.shape
-    view = p.camera.world_to_camera
-    x, y, z = (points @ view[:3, :3].T + view[:3, 3]).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x, y = (x / z * p.camera.fx + p.camera.cx) / width, (y / z * p.camera.fy + p.camera.cy) / height
+    x, y, z = p.camera.projected(points)
+    x, y = x / width, y / height
     inside = (z > 0.0) & (x >= 0.0) & (x < 1.0) & (y >= 0.0) & (y < 1.0)
     empty = np.ones((CELLS, CELLS), bool)
     empty[(CELLS * y[inside]).astype(int), (CELLS * x[inside]).astype(int)] = False

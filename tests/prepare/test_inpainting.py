@@ -25,7 +25,6 @@ from prepare.inpaint.support_surface import (
     shows_colors,
     support_surfaces,
     texture_of,
-    unproject,
 )
 from prepare.progress import no_progress
 from prepare.room_capture.room_pipeline import without_supports
@@ -341,7 +340,7 @@ def test_a_far_background_seen_through_the_table_does_not_spoil_its_depth(ti_cpu
     views = draw_views(concatenate([thin, far]), ball(), cameras(), sphere, no_progress, antialias=False, sort="radial")
     for view in views:
         y, x = np.nonzero(view.object_alpha < 0.01)
-        at, eye = unproject(view, x, y), view.camera.position
+        at, eye = view.camera.points_at(view.depth, x, y), view.camera.position
         exact = eye + (at - eye) * (eye[1] / (eye[1] - at[:, 1]))[:, None]  # of the same ray, on the table
         near = np.linalg.norm(exact - sphere.centre, axis=1) < 2.0 * RADIUS
         assert near.sum() > 300 and np.abs(at[near, 1]).max() < 0.1 * RADIUS

@@ -12,7 +12,7 @@ from prepare.onnx_network import MaskNetwork
 from prepare.segment.marks import Marks, ViewMarks
 from prepare.segment.mask_files import Masks, contact_sheet, object_colors, overlap_of, overlay
 from prepare.segment.mask_propagation import MarkPropagation, border_band, cut_objects, grab_cut, view_depths
-from prepare.segment.surface_cloud import depths_of_points, points_at, seen_by
+from prepare.segment.surface_cloud import depths_of_points
 from prepare.train.capture import Capture, Lens, View
 from prepare.train.photographs import Photograph
 from studio.stroke_marks import two_strokes
@@ -70,7 +70,7 @@ def scene(tmp_path_factory):
         depths.append(depth)
         row, column = np.nonzero(depth)
         some = rng.choice(len(row), 250, replace=False)
-        points.append(points_at(camera, depth, column[some], row[some]))
+        points.append(camera.points_at(depth, column[some], row[some]))
     points = np.concatenate(points)
     capture = Capture(folder, views, points, np.zeros(points.shape, np.uint8))
     return capture, photographs, Masks(["ball", "box"], object_colors(2), ids), depths
@@ -145,10 +145,10 @@ def test_hidden_points_have_no_depth(scene):
     camera = scene[1][0].camera
     x, y = np.meshgrid(np.arange(10, 110, 8), np.arange(10, 80, 8))
     x, y = x.ravel(), y.ravel()
-    near, far = (points_at(camera, np.full((HEIGHT, WIDTH), z), x, y) for z in (1.0, 2.0))
+    near, far = (camera.points_at(np.full((HEIGHT, WIDTH), z), x, y) for z in (1.0, 2.0))
     depth = depths_of_points(np.concatenate([far, near]), [camera])[0]
     assert depth[12:78, 12:100] == pytest.approx(1.0, rel=1e-5)
-    assert seen_by(camera, near)[0] == pytest.approx(x + 0.5)
+    assert camera.projected(near)[0] == pytest.approx(x + 0.5)
 
 
 def test_bad_marks_are_named(scene):

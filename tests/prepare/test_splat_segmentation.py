@@ -13,8 +13,7 @@ from core.errors import BadInput
 from core.runtime import start_taichi
 from core.spherical_harmonics import C0
 from prepare.segment.graph_cut import clearest_level, graph_of, most_alike, neighbour_edges, random_walk
-from prepare.segment.marks import Marks, ViewMarks
-from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
+from prepare.segment.marks import Marks, SplatMarks, ViewMarks, read_splat_marks, write_splat_marks
 from prepare.segment.splat_segmentation import (
     full_matrices,
     halves,
@@ -418,9 +417,9 @@ def projected_first(marks: SplatMarks) -> np.ndarray:
     ("change", "what"),
     [
         ({"views": None}, 'no "views"'),
-        ({"views": {"view_1": {"width": 3}}}, "view_1: missing 'height'"),
+        ({"views": {"view_1": {"width": 3}}}, "view_1: height is missing"),
         ({"grow": {"cat": 1}}, "'cat', which is not marked"),
-        ({"grow": {"ball": 1.5}}, "no whole number"),
+        ({"grow": {"ball": 1.5}}, "grow"),
         ({"objects": {"ball": {"view_9": {"inside": [[[1, 1]]]}}}}, "view_9"),
     ],
 )

@@ -256,7 +256,7 @@ def open_state(options: PlayOptions) -> SceneState | None:
     if not options.state:
         return None
     from display.keep.state_file import read_state
-    from display.record.recording_reader import OPTIONS
+    from display.record.recording_file import OPTIONS
 
     state, named = read_state(options.state), options.scene
     for key in OPTIONS:

@@ -17,8 +17,7 @@ from core.vocabulary import BodyState, Hand, Light
 from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
-from display.edit.editor import Editor, Step
-from display.edit.room_turn import RoomTurn
+from display.edit.editor import Editor, RoomTurn, Step
 from display.picture import surface_point
 from display.protocol import Frame, WorldView
 from display.timing import Timings
@@ -54,7 +53,7 @@ class WorldSnapshot:
     time: float
     backlog: float
     game: dict
-    room: np.ndarray = field(default_factory=lambda: np.eye(4))  # pose of the room (display/edit/room_turn.py)
+    room: np.ndarray = field(default_factory=lambda: np.eye(4))  # pose of the room (display/edit/editor.py)
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_te
 from core.material import Material
 from core.typed import Range, Size, from_json, to_json
 from core.vocabulary import Coordinate, Hand, Light, Point
-from display.record.recording_reader import checked_about
+from display.record.recording_file import checked_about
 from sim.hands.grasp import Grasp, GraspState
 from sim.model import MAX_BODIES
 from sim.recovery import DURATION

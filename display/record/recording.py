@@ -16,8 +16,7 @@ from core.camera import Camera
 from core.errors import BadInput
 from core.vocabulary import Hand
 from display.protocol import Frame
-from display.record.recording_file import DATASETS, Journal, is_locked, write_recording
-from display.record.recording_reader import OPTIONS
+from display.record.recording_file import DATASETS, OPTIONS, Journal, is_locked, write_recording
 from display.user_commands import Command, commands_from_text, commands_to_text
 
 WRITE_PERIOD = 1.0  # [s] between two states, and between two blocks of the journal

@@ -13,8 +13,16 @@ from core.camera import Camera, fitted
 from core.material import ANIMATED_MATERIAL
 from core.typed import field_types
 from display.protocol import Frame
-from display.record.recording_file import FORMAT, VERSION, open_recording
-from display.record.recording_reader import OPTIONS, WorldOptions, checked_about, read_frames, read_states
+from display.record.recording_file import (
+    FORMAT,
+    OPTIONS,
+    VERSION,
+    WorldOptions,
+    checked_about,
+    open_recording,
+    read_frames,
+    read_states,
+)
 from display.user_commands import Pause, last_of
 
 

@@ -20,8 +20,7 @@ from core.vocabulary import BodyState, Hand, Light, Touch
 from display.headless.video import FILM_FPS, frame_count
 from display.protocol import Frame
 from display.record.recording import Recording, packed_hand
-from display.record.recording_file import VERSION
-from display.record.recording_reader import hand_of
+from display.record.recording_file import VERSION, hand_of
 from display.record.replay import Replay, fitted
 from display.timing import Timings
 from display.user_commands import (

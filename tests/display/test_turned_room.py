@@ -12,7 +12,7 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from core.vocabulary import Body, Light
-from display.edit.room_turn import own_room
+from display.edit.editor import own_room
 from display.keep.keeper import Keeper
 from display.keep.kept_frame import frame_writer, write_room_turned
 from display.keep.scene_state import put_state, state_of

@@ -118,7 +118,7 @@ def test_a_recording_keeps_the_options_and_all_bodies(zoo, tmp_path, ti_cpu):
     "about", [{"body": [1]}, {"vertices": [0]}, {"vertices": ["9"]}, {"options": []}, {"options": {"a": [1]}}]
 )
 def test_bodies_and_options_of_a_recording_are_checked(about):
-    from display.record.recording_reader import checked_about
+    from display.record.recording_file import checked_about
 
     with pytest.raises(BadInput):
         checked_about(json.dumps({"scene": "zoo", **about}), "play.h5")

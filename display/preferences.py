@@ -1,4 +1,4 @@
-"""Settings of the user that stay from one start to the next, in a JSON file of the configuration folder.
+"""Settings that last from one start of the program to the next, in a JSON file of the configuration folder.
 
 One object whose keys name what is remembered:
 
@@ -57,11 +57,11 @@ class Preferences:
 
     @classmethod
     def of_user(cls) -> Preferences:
-        """Those of the user who runs the program."""
+        """The preferences of the user who runs the program."""
         return cls(config_folder() / "preferences.json")
 
     def get(self, key: str, default: T) -> T:
-        """The value of a key; `default` if there is none of its type."""
+        """The value of a key; `default` if there is none, or one of another type."""
         value = self._values.get(key)
         if isinstance(default, float) and is_number(value):
             return float(value)

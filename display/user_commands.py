@@ -52,7 +52,7 @@ class Reset(Command, key="reset"):
 
 @dataclass(frozen=True)
 class LoadState(Command, key="load"):
-    """Go on from a state that was saved; "": the one of this scene that was saved last."""
+    """Continue from a saved state; "": from the last one of this scene."""
 
     path: FilePath = ""
 
@@ -81,7 +81,7 @@ class SetGravity(Command, key="gravity"):
 
 @dataclass(frozen=True)
 class SetTimeScale(Command, key="time_scale"):
-    """Let time pass more slowly: seconds of the world in a second of the user's, MIN_TIME_SCALE to 1."""
+    """Let time pass more slowly: seconds of the world in a second of real time, MIN_TIME_SCALE to 1."""
 
     scale: float
     continued: bool = False
@@ -136,7 +136,7 @@ class Place(Command, key="place"):
 
 @dataclass(frozen=True)
 class TurnRoom(Command, key="turn_room"):
-    """Turn the user's room by a quaternion (wxyz) about what the scene looks at, with all that is in it."""
+    """Turn the user's room and all that is in it by a quaternion (wxyz) about the point that the scene looks at."""
 
     rotation: tuple[float, float, float, float]
     continued: bool = False
@@ -175,7 +175,7 @@ class SingleStep(Command, key="step"):
 
 @dataclass(frozen=True)
 class Settle(Command, key="settle"):
-    """After this frame, go on as from a saved state: forget what that does not hold, the impulses of contacts."""
+    """After this frame, continue as from a saved state, without what a state does not hold: impulses of contacts."""
 
 
 # Commands that write files and do not change the world (display/keep/).
@@ -234,7 +234,7 @@ class SaveState(Command):
 
 @dataclass(frozen=True)
 class KeepFrame(Command):
-    """Write a body's up, front and size as they are into its asset file (display/keep/kept_frame.py)."""
+    """Write a body's present up, front and size into its asset file (display/keep/kept_frame.py)."""
 
     body: BodyIndex | None = None
 
@@ -252,7 +252,7 @@ class OpeningCommand(Command):
 
 @dataclass(frozen=True)
 class OpenScene(OpeningCommand):
-    """Play another scene: named, with its options, and files of the user's as bodies and room."""
+    """Play another scene by its name, with its options and the user's files as bodies and room."""
 
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -262,22 +262,22 @@ class OpenScene(OpeningCommand):
 
 @dataclass(frozen=True)
 class SwapRoom(OpeningCommand):
-    """Play the same scene in another room, a file; None: in its own."""
+    """Play the same scene in the room of a file; None: in its own."""
 
     path: str | None
 
 
 @dataclass(frozen=True)
 class AddBody(OpeningCommand):
-    """Put a body made from a file over the play."""
+    """Drop a body made from a file into the play."""
 
     path: str
 
 
 @dataclass(frozen=True)
 class Measure(OpeningCommand):
-    """Let two points (3,) [m] of what is seen be a length [m] apart: the size of the body that has both is set by that,
-    else that of the user's room, or of the file that is looked at."""
+    """Set a size by the length [m] between two visible points (3,) [m]: of the body that has both, else of the user's
+    room, or of the file that is viewed."""
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]
@@ -286,7 +286,7 @@ class Measure(OpeningCommand):
 
 @dataclass(frozen=True)
 class CancelOpening(OpeningCommand):
-    """Give up what is being opened."""
+    """Cancel what is being opened."""
 
 
 # Commands of a viewer of splat files (display/viewer.py), which has no bodies.
@@ -294,21 +294,21 @@ class CancelOpening(OpeningCommand):
 
 @dataclass(frozen=True)
 class ViewFiles(Command):
-    """Show these files, too; the first of them now."""
+    """Add these files to those that are viewed, and show the first of them."""
 
     paths: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class NextFile(Command):
-    """Show the next file, or that many files on."""
+    """Show the file that many steps on."""
 
     step: int = 1
 
 
 @dataclass(frozen=True)
 class TurnUp(Command):
-    """Let an axis of the file point up, "+x" to "-z"; "": the next one."""
+    """Turn the file so that its axis "+x" to "-z" points up; "": the next axis."""
 
     up: str = ""
 
@@ -335,7 +335,7 @@ class Crop(Command):
 
 @dataclass(frozen=True)
 class WriteSplats(Command):
-    """Write what is shown of the file as a splat file of its own."""
+    """Write the shown part of the file as a new splat file."""
 
 
 C = TypeVar("C", bound=Command)
@@ -350,7 +350,7 @@ def rotation_step(axis=(0.0, 1.0, 0.0), sign: float = 1.0, *, step: float = TURN
     return (math.cos(half), *(math.sin(half) * c for c in axis))
 
 
-EDITS: dict[str, Command] = {  # by the names of the panels' buttons, of the selected body
+EDITS: dict[str, Command] = {  # of the selected body by one step, by the names of keys and buttons
     "undo": Undo(),
     "redo": Redo(),
     "copy": Duplicate(),
@@ -391,7 +391,7 @@ def commands_to_plain(commands: Iterable[Command]) -> dict[str, Any]:
 
 
 def commands_from_plain(plain: Mapping[str, Any], where: str) -> list[Command]:
-    """The commands of `commands_to_plain`; a command without fields that is false is none. Raises BadInput."""
+    """The commands that `commands_to_plain` has made plain data; false is no command. Raises BadInput."""
     kinds = {kind.key: kind for kind in KINDS if kind.key}
     commands = []
     for key, value in plain.items():

@@ -1,7 +1,7 @@
-"""The bodies of a running world: which of the scene's bodies each body of the solver is, or is a copy of.
+"""The bodies of a running world: of which of the scene's bodies each body of the solver is a copy.
 
-An edit changes the solver's body, its Gaussians and its animation together. At the first one, what the device holds of
-each of the scene's bodies is read back; without edits nothing of this costs anything.
+An edit changes the solver's body, its Gaussians and its animation together. The first one reads back from the device
+what it holds of the scene's bodies; a play without edits pays nothing.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class BodiesSnapshot:
 class BodyRegistry:
     """The members, in the order of the solver's bodies, and their animations.
 
-    Edits raise BadInput, and change nothing, if they cannot be carried out.
+    An edit that fails raises BadInput and changes nothing.
     """
 
     def __init__(self, device: DeviceScene):

@@ -108,8 +108,8 @@ class UndoStack:
 class Editor:
     """Carries out the commands that change bodies, and keeps the history of all that can be undone.
 
-    A command that cannot be carried out changes nothing, and `notice` says why. `selected` is the body that was last
-    held or pointed at. `world` gives snapshots and takes them back.
+    A command that fails changes nothing, and `notice` says why. `selected` is the body that was last held or pointed
+    at. `world` gives snapshots and restores them.
     """
 
     def __init__(self, world, bodies: BodyRegistry):
@@ -123,7 +123,7 @@ class Editor:
 
     @property
     def recently_selected(self) -> bool:
-        """Was the selected body pointed at or changed within the last seconds?"""
+        """True if the selected body was pointed at or changed within the last seconds."""
         return monotonic() < self._selected_until
 
     def begin_frame(self) -> None:
@@ -179,7 +179,7 @@ class Editor:
         return int(k)
 
     def _edit(self, action: str, edit: Callable[[], T], select: int | None = None, continued: bool = False) -> T:
-        """Record the state, carry out an edit of the registry, and let the world see it."""
+        """Record the state, carry out an edit of the registry, and refresh the world."""
         before = self._before(action, continued)
         self.selected = self.selected if select is None else select
         result = edit()
@@ -350,9 +350,9 @@ def copy_offset(k: int, bodies: list[BodyState]) -> np.ndarray:
 
 
 def own_room(scene: Scene) -> Body | None:
-    """The static body that is the user's room: the first, beside which there may be the play's own things, as a bottle.
+    """The static body that is a room of the user; None: the scene has none, or it cannot be turned.
 
-    None: there is none, or one that cannot be turned.
+    It is the first static body. Those after it may be props of the play, such as a bottle.
     """
     still = [body for body in scene.bodies if body.material is None]
     shipped = SHIPPED_FOLDER.resolve()
@@ -363,8 +363,8 @@ def own_room(scene: Scene) -> Body | None:
 class RoomTurn:
     """The turn of the room since the start: `pose`, a rigid transform (4, 4) of the world.
 
-    own   the room's body; None: it is none of the user's
-    kept  the pose that its file has
+    own   the room's body; None: the room is not the user's
+    kept  the pose in the room's file
     """
 
     def __init__(self, device: DeviceScene):
@@ -373,16 +373,16 @@ class RoomTurn:
 
     @property
     def moved(self) -> bool:
-        """Is it not as at the start?"""
+        """True if the room is not in its first pose."""
         return bool(np.abs(self.pose - np.eye(4)).max() > SAME)
 
     @property
     def turned(self) -> bool:
-        """Has it been turned since it was read or kept?"""
+        """True if the room was turned since its file was read or written."""
         return bool(np.abs(self.pose - self.kept).max() > SAME)
 
     def about(self, rotation: np.ndarray) -> np.ndarray:
-        """The transform (4, 4) that turns the room by (3, 3) about what one looks at. Raises BadInput."""
+        """The transform (4, 4) that turns the room by (3, 3) about `middle`. Raises BadInput."""
         if self.own is None:
             raise BadInput("Only a room of your own can be turned: vrgs.py capture, or --stage ROOM.")
         middle, by = self.middle, np.eye(4)
@@ -392,11 +392,11 @@ class RoomTurn:
 
     @property
     def middle(self) -> np.ndarray:
-        """The point (3,) [m] that the scene looks at: it stays where it is."""
+        """The point (3,) [m] that the scene looks at, which turning leaves in place."""
         return np.asarray(self._device.scene.target, np.float64)
 
     def place(self, pose: np.ndarray) -> None:
-        """Let the room be at a pose, and the light with it."""
+        """Put the room, and the light with it, at a pose."""
         if np.abs(pose - self.pose).max() <= 0.0:
             return
         by = pose @ np.linalg.inv(self.pose)
@@ -407,7 +407,7 @@ class RoomTurn:
 
 
 def orthonormal(pose: np.ndarray) -> np.ndarray:
-    """The rigid transform (4, 4) next to one that many turns have rounded."""
+    """The rigid transform (4, 4) nearest to one that has picked up rounding errors."""
     u, _, vt = np.linalg.svd(pose[:3, :3])
     found = pose.copy()
     found[:3, :3] = u @ vt

@@ -36,10 +36,10 @@ from display.user_commands import (
 
 
 class Keeper:
-    """Carries out the commands of a frame `after` it; files are written by a thread of its own, one after the other.
+    """Carries out the commands of a frame that write files, `after` the frame; a thread writes one after the other.
 
-    `scene` names the files, `about` says in a state how the scene is made. What was written, or why not, is a notice of
-    the world and a line on stderr; the play goes on. `close` finishes what is under way.
+    `scene` names the files; `about` says in a state how the scene is made. A notice and a line on stderr tell what was
+    written, or why not; the play goes on. `close` waits for what is under way.
     """
 
     def __init__(self, scene: str, preferences: Preferences | None = None):
@@ -109,17 +109,17 @@ class Keeper:
                 world.film_seconds = None
 
     def _new_path(self, ending: str) -> Path:
-        """A name that no file has, nor one that is still to be written."""
+        """A name that neither a file has nor one that is still to be written."""
         path = output_path(self.scene, ending, self._named)
         self._named.add(path)
         return path
 
     def _write(self, path: Path, write: Callable[[], None]) -> None:
-        """Let the thread write a file."""
+        """Write a file in the thread."""
         self._tasks.append(self._writer.submit(written, path, write))
 
     def _add_to_film(self, time: float, world) -> None:
-        """Film the frame; a film that can go no further ends, and keeps what it has."""
+        """Film the frame; a film that fails ends, and keeps what it has."""
         try:
             self._film.add(world, time - self._film_begin)
             world.film_seconds = time - self._film_begin
@@ -148,7 +148,7 @@ class Keeper:
 
 
 def written(path: Path, write: Callable[[], None]) -> tuple[str, str]:
-    """Write a file; the line that says so, or why it could not be, and a notice of the same."""
+    """Write a file; returns a line and a notice that tell where it is, or why it failed."""
     try:
         write()
     except (BadInput, OSError) as e:
@@ -176,10 +176,10 @@ def full_picture(world, size: tuple[int, int] | None) -> np.ndarray:
 
 
 def output_path(scene: str, ending: str, taken: Container[Path] = (), *, now: datetime | None = None) -> Path:
-    """A new name of scene and time in the current folder, or, if it cannot be written, in that of pictures.
+    """Path of a new file, SCENE_TIME followed by `ending` (".png", "_camera.json").
 
-    `ending` is what follows them: ".png", "_camera.json". It is none of those `taken` for files that are still to come.
-    Raises BadInput if neither folder can be written.
+    It is in the current folder, or in that of pictures if the current one is not writable. Neither a file that exists
+    nor one of those `taken` has this name. Raises BadInput if neither folder is writable.
     """
     stem = re.sub(r"[^\w.-]+", "_", Path(scene).stem) or "scene"
     name = f"{stem}_{(now or datetime.now()).strftime('%Y-%m-%d_%H-%M-%S')}{ending}"
@@ -201,16 +201,16 @@ def pictures_folder() -> Path:
 
 
 class Remembered:
-    """The memory of a scene: `given` adds to the commands of its frames, `keep` notes its light at the end.
+    """What is remembered of a scene from one play to the next: its light, if `light`, and its last saved state.
 
-    Without `light` that is none of its matters.
+    `given` adds them to the commands of the frames, `keep` stores the light at the end.
     """
 
     def __init__(self, preferences: Preferences, scene: str, *, light: bool):
         self._preferences, self._scene, self._lit, self._fresh = preferences, scene, light, light
 
     def given(self, frame: Frame, world) -> Frame:
-        """The frame, with the remembered light in the first one, and with the path of the last state to be loaded."""
+        """The frame with the remembered light, if it is the first, and with the path of the state to be loaded."""
         commands = frame.commands
         if any(isinstance(c, LoadState) and not c.path for c in commands):
             last = self._preferences.get(f"state.{self._scene}", "")
@@ -230,7 +230,7 @@ class Remembered:
         return light if sound else None
 
     def keep(self, world) -> None:
-        """Note the light that the user has left, if it is not the scene's own."""
+        """Store the light, if it is not the scene's own."""
         own, now = world.scene.light, world.light
         if self._lit and now is not None:
             self._preferences.set(f"light.{self._scene}", None if now == own else to_plain(now))

@@ -25,11 +25,12 @@ SAME = 1e-6  # of a rotation's entries, and of a factor
 
 
 def frame_writer(world: World | Viewer, body: int | None) -> tuple[Path, Callable[[], None]]:
-    """The asset file of a body, None: of the selected one, and what writes it as the body stands and how large it is.
+    """The asset file of a body (None: of the selected one), and a function that writes it with the up, front and size
+    that the body has now.
 
-    Of a viewer the file that it shows; of a room that has been turned its own, before any body's. The next play of the
-    same scene puts the body where it stood at its beginning, turned and as large as it is now.
-    Raises BadInput for a body whose file is not the user's own, or whose frame cannot change.
+    In a viewer it is the file that is shown; if the room was turned, that of the room. The next play of the scene puts
+    the body where it stood at the beginning, turned and as large as it is now. Raises BadInput if the file is not the
+    user's own, or its frame cannot change.
     """
     if world.file is not None:
         return file_writer(world)
@@ -47,15 +48,15 @@ def frame_writer(world: World | Viewer, body: int | None) -> tuple[Path, Callabl
     start = world.room.pose[:3, :3] @ matrices_from_quaternions(np.asarray(placed.rotation, np.float64))
     rotation, factor = start.T @ rotation, factor / placed.scale
     if np.abs(rotation - np.eye(3)).max() < SAME and abs(factor - 1.0) < SAME:
-        raise BadInput(f"{path.stem} is in its file as it is here.")
+        raise BadInput(f"{path.stem} is already in its file as it is here.")
     changed = asset.transformed(rotation, factor)
     return path, lambda: changed.save(path, quantised=small)
 
 
 def room_writer(world: World, factor: float = 1.0) -> tuple[Path, Callable[[], None]]:
-    """The file of the room that has been turned, and what writes it `factor` times as large, which takes some seconds.
+    """The file of the turned room, and a function that writes it, `factor` times as large, in some seconds.
 
-    Raises BadInput for a room that is none of the user's.
+    Raises BadInput if the room is not the user's.
     """
     room = world.room
     if room.own is None:
@@ -72,7 +73,7 @@ def room_writer(world: World, factor: float = 1.0) -> tuple[Path, Callable[[], N
 
 
 def write_room_turned(path: Path, rotation: np.ndarray, factor: float = 1.0) -> None:
-    """Write a room's asset turned by (3, 3) and scaled, and the manifest of the captured room that it belongs to.
+    """Write a room's asset turned by (3, 3) and scaled, and the manifest of a captured room with it.
 
     Raises BadInput.
     """
@@ -93,12 +94,12 @@ def write_room_turned(path: Path, rotation: np.ndarray, factor: float = 1.0) -> 
 
 
 def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:
-    """The file that a viewer shows, and what writes it turned and scaled as it is shown. Raises BadInput."""
+    """The file that a viewer shows, and a function that writes it turned and scaled as shown. Raises BadInput."""
     file = viewer.file
     if file.path.suffix.lower() != ".h5":
         raise BadInput("O writes a splat file as it stands, +y up; then prepare that one.")
     if np.abs(file.turn - np.eye(3)).max() < SAME and abs(file.factor - 1.0) < SAME:
-        raise BadInput(f"{file.path.stem} is in its file as it is here.")
+        raise BadInput(f"{file.path.stem} is already in its file as it is here.")
     if file.path.resolve().is_relative_to(SHIPPED_FOLDER.resolve()):
         raise BadInput(f"{file.path.stem} comes with the program: only a file of your own can be changed for good.")
     turn, factor = file.turn, file.factor
@@ -116,7 +117,7 @@ def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:
 
 
 def body_of(world: World, k: int) -> Body:
-    """The scene's body, or that of an asset that joined, which body k is or is a copy of. Raises BadInput."""
+    """The body, of the scene or of an asset that joined, of which body k is a copy. Raises BadInput."""
     registry = world.registry
     source = registry.members[k].source
     own = [b for b in world.scene.bodies if b.material is not None]
@@ -129,8 +130,8 @@ def body_of(world: World, k: int) -> Body:
 
 
 def turn_since(asset: Asset, world: World, k: int) -> tuple[np.ndarray, float]:
-    """Rotation (3, 3) and size of body k, however it is deformed, in comparison with the asset in the file, which may
-    have been kept a moment ago. Raises BadInput if the file has another cage by now."""
+    """Rotation (3, 3) and relative size of body k, deformed or not, since the asset in its file, which may have been
+    written a moment ago. Raises BadInput if the file has another cage by now."""
     solver = world.device.solver
     model = solver.body_models[k]
     first, last = solver.vertex_offset[k : k + 2]

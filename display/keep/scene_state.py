@@ -75,7 +75,7 @@ def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
 
 
 def located(about: dict) -> dict:
-    """The options, with the user's files by their whole paths: a state may be opened from another folder."""
+    """The options, with absolute paths of the user's files: a state may be opened from another folder."""
 
     def whole(name: str) -> str:
         return str(Path(name).absolute()) if Path(name).is_file() else name
@@ -98,8 +98,8 @@ def view_of(world: World) -> View:
 
 
 def put_state(world: World, state: SceneState, where: str) -> None:
-    """Let a world go on from a state. Raises BadInput, naming `where` it is from, and nothing has changed, if the world
-    is of another scene or of other files."""
+    """Continue a world from a state. Raises BadInput, naming the file `where`, and changes nothing, if the world is of
+    another scene or of other files."""
     check_scene(world.scene, state, where)
     game, settings = world.scene.game, state.settings
     if (game is None) != (settings.game is None) or (world.light is None) != (settings.light is None):
@@ -141,22 +141,22 @@ def put_state(world: World, state: SceneState, where: str) -> None:
 
 
 def hands_of(world: World, state: SceneState):
-    """Grips of the hands; nothing where there are not as many."""
+    """Grasps of the hands; None if the world has another number of hands."""
     there = world.device.solver.snapshot()["grasps"]
     fits = there is not None and state.hands is not None and len(there.grasps) == len(state.hands.grasps)
     return state.hands if fits else None
 
 
 def try_game(world: World, values: dict, where: str) -> None:
-    """Let the game see the world once, with values from a file. Raises BadInput if it can make nothing of them."""
+    """Run the game once with values from a file. Raises BadInput if it fails."""
     game = world.scene.game
     try:
         bodies = world.registry.scene_states(world.bodies())
         game.update(world.time, bodies)
         game.hands(world.time, bodies)
         (int(game.score), str(game.message))
-    except Exception as e:  # a game is any code, and what it makes of wrong values is not known
-        raise BadInput(f"{where}: its game's state makes no sense ({type(e).__name__})") from e
+    except Exception as e:  # a game is any code
+        raise BadInput(f"{where}: its game cannot go on from this state ({type(e).__name__})") from e
     vars(game).update(values)
 
 
@@ -171,9 +171,9 @@ def check_scene(scene: Scene, state: SceneState, where: str) -> None:
 
 
 def sources_of(world: World, state: SceneState, where: str) -> list[int]:
-    """Index in this world of each source that the state counts: the scene's, and the pieces of what was added.
+    """Index in this world of each source of the state: the scene's bodies, then the pieces of added assets.
 
-    Raises BadInput if what was added is gone or another one.
+    Raises BadInput if an added asset is gone or has changed.
     """
     sources = list(range(len(world.registry.scene_models)))
     for asset, name, saved in state.added:
@@ -184,7 +184,7 @@ def sources_of(world: World, state: SceneState, where: str) -> list[int]:
 
 
 def model_of(body: SavedBody, sources: Sequence[int], models: Sequence[BodyModel], where: str) -> BodyModel:
-    """The body of the solver: that of its source, in its size and of its material. Raises BadInput."""
+    """The solver's body: its source, in the saved size and material. Raises BadInput."""
     if body.source >= len(sources):
         raise BadInput(f"{where}: names body {body.source} of a scene of {len(sources)}")
     model = models[sources[body.source]]

@@ -92,7 +92,7 @@ class SavedGame:
 
 @dataclass(frozen=True)
 class Settings:
-    """All numbers and names that belong to no body; see above."""
+    """All that belongs to no body; see above."""
 
     time: Seconds
     owed: Seconds
@@ -118,7 +118,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class SceneState:
-    """All that a file holds. `motion` (4, V, 3) float32 and `untangling` (3, B) as Solver.snapshot gives them."""
+    """Content of the file. `motion` (4, V, 3) float32 and `untangling` (3, B) as Solver.snapshot gives them."""
 
     about: dict
     assets: Assets
@@ -147,7 +147,7 @@ def read_state(path: str | Path) -> SceneState:
         motion = np.stack([finite(file, f"motion/{name}", (vertices, 3), np.float32) for name in MOTION])
         untangling = finite(file, "bodies/untangling", (3, count))
         if (untangling < 0).any() or (untangling > np.array([[DURATION], [1.0], [3.0]])).any():
-            raise file.error("bodies/untangling holds values that cannot be")
+            raise file.error("bodies/untangling holds values out of range")
         animations = read_animations(file, count)
         hands = read_hands(file, bodies) if file.has("hands") else None
     return SceneState(about, assets, added, bodies, motion, untangling, animations, hands, settings)
@@ -157,7 +157,7 @@ def finite(file: Hdf5Reader, name: str, shape: tuple, dtype=np.float64) -> np.nd
     """A dataset of finite numbers, none beyond MAGNITUDE_MAX."""
     values = file.floats(name, shape, dtype)
     if not (np.abs(values) < MAGNITUDE_MAX).all():  # NaN compares false
-        raise file.error(f"{name} holds values that cannot be")
+        raise file.error(f"{name} holds values out of range")
     return values
 
 
@@ -171,7 +171,7 @@ def read_bodies(file: Hdf5Reader, names: Sequence[str]) -> tuple[SavedBody, ...]
     vertices, size = file.indices("bodies/vertices", (count,)), finite(file, "bodies/size", (count,))
     rows = file.floats("bodies/material", (count, len(MATERIAL_FIELDS)), np.float64)
     if (size <= 0).any() or (size > 1e3).any():
-        raise file.error("bodies/size holds values that cannot be")
+        raise file.error("bodies/size holds values out of range")
     bodies = []
     for k in range(count):
         *numbers, kinetic = rows[k].tolist()
@@ -188,41 +188,41 @@ def read_animations(file: Hdf5Reader, bodies: int) -> tuple[SavedAnimation, ...]
     time = finite(file, "animations/time", (len(body),))
     place = finite(file, "animations/place", (len(body), 4, 4))
     if (body >= bodies).any() or (time < 0).any() or (time > TIME_MAX).any() or (np.abs(place) > 1e6).any():
-        raise file.error("animations hold values that cannot be")
+        raise file.error("animations hold values out of range")
     if (place[:, 3] != [0, 0, 0, 1]).any() or (len(body) and np.abs(np.linalg.det(place)).min() < 1e-12):
-        raise file.error("animations/place holds what is no place")
+        raise file.error("animations/place holds a transform that is not affine")
     return tuple(SavedAnimation(int(b), float(t), p) for b, t, p in zip(body, time, place, strict=True))
 
 
 def read_hands(file: Hdf5Reader, bodies: tuple[SavedBody, ...]) -> GraspState:
-    """Grip and place of each hand."""
+    """Grasp and pose of each hand."""
     held = file.array("hands/held", "iu", (None,)).astype(np.int64)
     count = len(held)
     if count > HANDS_MAX or (held < -1).any() or (held >= len(bodies)).any():
-        raise file.error("hands/held holds values that cannot be")
+        raise file.error("hands/held holds values out of range")
     taken, poses = (file.indices(f"hands/{name}", (count,)) for name in ("count", "poses"))
     if (poses > POSES_MAX).any():
-        raise file.error("hands/poses holds values that cannot be")
+        raise file.error("hands/poses holds values out of range")
     vertex = file.indices("hands/vertex", (int(taken.sum(dtype=np.int64)),), np.int64)
     position = finite(file, "hands/position", (len(vertex), 3))
     lost, last = finite(file, "hands/lost", (count,)), finite(file, "hands/last", (count, 10))
     history = finite(file, "hands/history", (int(poses.sum(dtype=np.int64)), 8))
     if (history[:, 0] < 0).any() or (lost < 0).any():
-        raise file.error("hands hold times that cannot be")
+        raise file.error("hands hold negative times")
     if not (np.linalg.norm(history[:, 4:], axis=1) > 1e-6).all():
-        raise file.error("hands/history holds what is no rotation")
+        raise file.error("hands/history holds a quaternion of length 0")
     grasps, hands, histories = [], [], []
     for h, (mine, own) in enumerate(zip(spans(taken), spans(poses), strict=True)):
         body = int(held[h])
         if body < 0:
             grasps.append(None)
         elif taken[h] == 0 or vertex[mine].max() >= bodies[body].vertices or last[h, 0] == 0:
-            raise file.error("hands/vertex holds what is no vertex of the body")
+            raise file.error("hands/vertex holds an index beyond the body's vertices")
         else:
             grasps.append(Grasp(body, vertex[mine], position[mine]))
         there, *numbers = last[h].tolist()
         if there and math.hypot(*numbers[3:7]) <= 1e-6:
-            raise file.error("hands/last holds what is no rotation")
+            raise file.error("hands/last holds a quaternion of length 0")
         hand = Hand(tuple(numbers[:3]), tuple(numbers[3:7]), bool(numbers[7]), numbers[8]) if there else None
         hands.append(hand)
         histories.append(tuple((row[0], tuple(row[1:])) for row in history[own].tolist()))
@@ -230,7 +230,7 @@ def read_hands(file: Hdf5Reader, bodies: tuple[SavedBody, ...]) -> GraspState:
 
 
 def spans(counts: np.ndarray) -> list[slice]:
-    """Slices of runs that follow one another."""
+    """Slices of consecutive runs of these lengths."""
     ends = np.cumsum(counts, dtype=np.int64)
     return [slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)]
 
@@ -263,7 +263,7 @@ def write_state(path: str | Path, state: SceneState) -> None:
 
 
 def write_hands(file: h5py.File, hands: GraspState) -> None:
-    """Write what each hand holds, and where it was."""
+    """Write the grasp and the poses of each hand."""
     grasps = hands.grasps
     last = np.zeros((len(grasps), 10))
     for row, hand in zip(last, hands.last, strict=True):

@@ -23,8 +23,11 @@ WRITE_PERIOD = 1.0  # [s] between two states, and between two blocks of the jour
 
 
 class Recording:
-    """`note` each frame before the world's step, `after` it; complete after `close`. Raises BadInput at once if the
-    file cannot be written; if that happens later, a line says so, what was recorded is kept, and the play goes on."""
+    """A recording in progress: `note` each frame before the world's step, `after` behind it, then `close`.
+
+    Raises BadInput if the file cannot be written. If that happens later, a line says so, the play goes on, and what was
+    recorded until then is kept.
+    """
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
@@ -133,7 +136,7 @@ class Recording:
             self._end()
 
     def _end(self) -> None:
-        """Make the recording of the journal, which stays where that cannot be written; without a frame remove it."""
+        """Turn the journal into the recording; if that fails, leave it, and if it has no frame, remove it."""
         self._journal.close()
         self._journal = None
         try:

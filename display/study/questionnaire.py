@@ -35,7 +35,7 @@ FILE_MAX = 1 << 20  # [bytes] of a file of answers
 
 @dataclass(frozen=True)
 class Answers:
-    """A participant's answers about a setting: 1 to SCALE for each of QUESTIONS, 0 where there is none."""
+    """A participant's answers about a setting: 1 to SCALE for each of QUESTIONS, 0: not answered."""
 
     participant: str
     setting: str

@@ -4,7 +4,7 @@ Root attributes: `format` "vrgs-study", `version`.
 
 | dataset | shape, type | |
 | --- | --- | --- |
-| trials/seconds, first_grip, goal, hand_path, body_path | (T,) float64 | see Trial; NaN: there is none |
+| trials/seconds, first_grip, goal, hand_path, body_path | (T,) float64 | see Trial; NaN: none |
 | trials/completed, grips, throws, frames, scores | (T,) int64 | scores: number of rows in scores/ |
 | trials/text | (B,) uint8 | JSON lines: participant, task, setting, device, started, about |
 | scores/time, scores/value | (S,) float64 | of all trials, concatenated |
@@ -68,7 +68,7 @@ class AnswersText:
 
 @dataclass
 class Study:
-    """All that a file holds."""
+    """Content of the file."""
 
     trials: list[Trial] = field(default_factory=list)
     answers: list[Answers] = field(default_factory=list)

@@ -23,7 +23,7 @@ class Trial:
 
     setting     "physics", "transform" or "mixed"
     device      "window", "headset", "browser" or "headless"
-    about       options of the scene, roles of the user's bodies
+    about       options of the scene, roles of the user's own bodies
     seconds     until the goal was reached, or else until the end
     first_grip  until something was held; NaN: never
     goal        score that ends the task; NaN: it has none
@@ -88,7 +88,7 @@ class TrialMeter:
         score = float(world.score)
         if not self._scores or self._scores[-1][1] != score:
             self._scores.append((self._time, score))
-        if not score >= self._goal:  # also where there is none
+        if not score >= self._goal:  # also if the goal is NaN
             self._reached = math.nan
         elif math.isnan(self._reached):
             self._reached = self._time

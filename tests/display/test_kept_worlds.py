@@ -269,7 +269,7 @@ DAMAGE = {
     "bodies/size": lambda f: put(f, "bodies/size", np.zeros(len(f["bodies/size"]))),
     "claims 200 bodies": lambda f: put(f, "bodies/source", np.zeros(200, np.int32)),
     "hands/held": lambda f: put(f, "hands/held", np.full(2, 9, np.int32)),
-    "no vertex of the body": lambda f: put(f, "hands/vertex", np.full(f["hands/vertex"].shape, 1 << 20, np.int32)),
+    "beyond the body's vertices": lambda f: put(f, "hands/vertex", np.full(f["hands/vertex"].shape, 1 << 20, np.int32)),
     "untangling": lambda f: put(f, "bodies/untangling", np.full(f["bodies/untangling"].shape, 9.0)),
 }
 

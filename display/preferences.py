@@ -19,17 +19,20 @@ Several programs may run at once: each writes only the keys that it has changed,
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 from assets.file_access import atomic_write, locked, unused_name
 from core.errors import BadInput
+from core.typed import Size, from_plain, to_plain
+from core.vocabulary import Vec3
 
 SIZE_MAX = 1 << 20  # [bytes]; more was not written by this program
 LOCK_PATIENCE = 0.5  # [s] of a frame at most, for which another program is waited for
+PathText = Annotated[str, Size(4096)]
+Bookmarks = dict[str, tuple[Vec3, Vec3]]  # eye and target [m], by the digit of their key
 T = TypeVar("T")
 
 
@@ -60,20 +63,17 @@ class Preferences:
         """The preferences of the user who runs the program."""
         return cls(config_folder() / "preferences.json")
 
-    def get(self, key: str, default: T) -> T:
-        """The value of a key; `default` if there is none, or one of another type."""
+    def get(self, key: str, kind: type[T], default: T | None = None) -> T | None:
+        """The value of a key as this type (core/typed.py); `default` if there is none, or one of another type."""
         value = self._values.get(key)
-        if isinstance(default, float) and is_number(value):
-            return float(value)
-        return value if type(value) is type(default) else default
-
-    def numbers(self, key: str, count: int) -> list[float] | None:
-        """`count` finite numbers; None if the key holds none."""
-        value = self._values.get(key)
-        return value if isinstance(value, list) and len(value) == count and all(map(is_number, value)) else None
+        try:
+            return default if value is None else from_plain(kind, value, key)
+        except BadInput:
+            return default
 
     def set(self, key: str, value) -> None:
-        """Remember a value of JSON's types; None: forget it."""
+        """Remember a value; None: forget it."""
+        value = to_plain(value)
         if self._values.get(key) == value:
             return
         self._values[key] = self._own[key] = value
@@ -132,22 +132,3 @@ class Preferences:
 def tell(text: str) -> None:
     """Print a line for the user."""
     print(f"vrgs: {text}", file=sys.stderr, flush=True)
-
-
-def is_number(value) -> bool:
-    """True for a finite number of JSON."""
-    try:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:  # an integer beyond float64
-        return False
-
-
-def read_bookmarks(value: dict) -> dict[str, list[list[float]]]:
-    """Those entries of a dictionary that are views: eye and target, three numbers each, apart."""
-    views = {}
-    for key, view in value.items():
-        points = view if isinstance(view, list) and len(view) == 2 else ()
-        sound = [p for p in points if isinstance(p, list) and len(p) == 3 and all(map(is_number, p))]
-        if len(sound) == 2 and sound[0] != sound[1]:
-            views[key] = sound
-    return views

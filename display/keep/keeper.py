@@ -16,11 +16,10 @@ from assets.camera_file import write_cameras
 from assets.file_access import check_writable, unused_name
 from core.camera import fitted
 from core.errors import BadInput
-from core.typed import from_plain, to_plain
 from core.vocabulary import Light
 from display.headless.video import FilmWriter
 from display.picture import pixels_of, save_picture
-from display.preferences import Preferences
+from display.preferences import PathText, Preferences
 from display.protocol import Frame
 from display.user_commands import (
     Export,
@@ -213,7 +212,7 @@ class Remembered:
         """The frame with the remembered light, if it is the first, and with the path of the state to be loaded."""
         commands = frame.commands
         if any(isinstance(c, LoadState) and not c.path for c in commands):
-            last = self._preferences.get(f"state.{self._scene}", "")
+            last = self._preferences.get(f"state.{self._scene}", PathText, "")
             commands = [replace(c, path=c.path or last) if isinstance(c, LoadState) else c for c in commands]
         light = self._light() if self._fresh and world.light is not None else None
         self._fresh = False
@@ -221,16 +220,11 @@ class Remembered:
         return frame
 
     def _light(self) -> Light | None:
-        stored = self._preferences.get(f"light.{self._scene}", {})
-        try:
-            light = from_plain(Light, stored, "light")
-        except BadInput:
-            return None
-        sound = all(abs(x) < 1e3 for x in (*light.position, *light.target)) and light.position != light.target
-        return light if sound else None
+        light = self._preferences.get(f"light.{self._scene}", Light)
+        return light if light is not None and light.position != light.target else None
 
     def keep(self, world) -> None:
         """Store the light, if it is not the scene's own."""
         own, now = world.scene.light, world.light
         if self._lit and now is not None:
-            self._preferences.set(f"light.{self._scene}", None if now == own else to_plain(now))
+            self._preferences.set(f"light.{self._scene}", None if now == own else now)

@@ -40,7 +40,7 @@ class Sound:
         self._impacts, self._mixer, self._preferences = Impacts(), Mixer(), preferences
         self._track = None if film is None else SoundTrack(film, always=asked)
         self._device: AudioDevice | None = None
-        self._on = asked or bool(preferences.get("sound", True))
+        self._on = asked or bool(preferences.get("sound", bool, True))
         self._asked, self._time = asked, 0.0
         self._sounds: dict[int, tuple[np.ndarray, float]] = {}  # of bodies: waveform, mass [kg]
         self._opening = Thread(target=self._open, daemon=True) if heard else None

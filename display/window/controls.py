@@ -11,7 +11,7 @@ import numpy as np
 from core.camera import Camera
 from core.vocabulary import BodyState, Hand
 from display import user_commands
-from display.preferences import Preferences, read_bookmarks
+from display.preferences import Bookmarks, Preferences
 from display.protocol import WorldView
 from display.user_commands import (
     ROOM_STEP,
@@ -93,7 +93,7 @@ class Controls:
         self.let_go()
         self.orbit, self.measured = OrbitCamera(scene.eye, scene.target, scene.fov_y), None
         self._bookmarks_key = f"bookmarks.{name}"
-        self._bookmarks = read_bookmarks(self._preferences.get(self._bookmarks_key, {}))  # eye and target [m] by digit
+        self._bookmarks = self._preferences.get(self._bookmarks_key, Bookmarks, {})
 
     def press(self, button: str, u: float, v: float, camera: Camera, world: WorldView) -> None:
         """Take a mouse button that goes down over the picture."""
@@ -295,15 +295,16 @@ class Controls:
     def go_to_bookmark(self, press: Press) -> None:
         """Show the view that is kept under a digit."""
         digit = press.name[-1]
-        if digit in self._bookmarks:
-            self.orbit.eye, self.orbit.target = (np.array(point, np.float64) for point in self._bookmarks[digit])
+        eye, target = self._bookmarks.get(digit, ((), ()))
+        if eye != target:
+            self.orbit.eye, self.orbit.target = np.array(eye), np.array(target)
         else:
             press.world.tell(f"No view is kept under {digit}: Ctrl+{digit} keeps this one.")
 
     def keep_bookmark(self, press: Press) -> None:
         """Keep the view under a digit."""
         digit = press.name[-1]
-        self._bookmarks = self._bookmarks | {digit: [self.orbit.eye.tolist(), self.orbit.target.tolist()]}
+        self._bookmarks = self._bookmarks | {digit: (tuple(self.orbit.eye.tolist()), tuple(self.orbit.target.tolist()))}
         self._preferences.set(self._bookmarks_key, self._bookmarks)
         press.world.tell(f"This view is kept under {digit}.")
 

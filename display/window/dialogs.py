@@ -14,7 +14,7 @@ from assets.splat_files import MESHES, SPLATS, kind_of
 from core.errors import BadInput
 from core.measured_length import length_of
 from display.panel import chosen_by_list, demos, line_of, picture_file, spoken
-from display.preferences import Preferences
+from display.preferences import PathText, Preferences
 from display.protocol import WorldView
 from display.user_commands import AddBody, Command, LoadState, Measure, OpenScene, SwapRoom, TurnUp
 from display.window.widgets import ACCENT, MARGIN, QUIET, TITLE_SIZE, button_grid, pixels
@@ -73,7 +73,7 @@ class OpenDialog:
 
     def ask(self) -> None:
         """Let the user choose a file."""
-        folder = self._preferences.get("folder", "") or os.getcwd()
+        folder = self._preferences.get("folder", PathText, "") or os.getcwd()
         if has_system_dialog():
             from imgui_bundle import portable_file_dialogs as dialogs
 

@@ -61,13 +61,13 @@ class Window:
         self._menu, self._open_dialog = SceneMenu(self._surface.gl), OpenDialog(self._preferences)
         self._up_choice, self._length_dialog = UpChoice(self._surface.gl), LengthDialog()
         self._dialog_shown = False
-        opened = {k: on is True for k, on in self._preferences.get("panel.sections", {}).items()}
+        opened = self._preferences.get("panel.sections", dict[str, bool], {})
         self._panel = PanelDrawer(title, self._surface.scale, Panel(gizmo=True), opened)
         self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
         self._hover = Hover()
         self._resolution = WindowResolution()
         self._controls = Controls(scene, self._preferences, name)
-        self._controls.panel = self._preferences.get("panel.open", True)
+        self._controls.panel = self._preferences.get("panel.open", bool, True)
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
@@ -91,10 +91,9 @@ class Window:
 
     def _restore(self, *, asked: bool) -> dict:
         """Give the window its remembered place, and its size unless another is asked for; returns what it has then."""
-        numbers = self._preferences.numbers
-        maximized = not asked and self._preferences.get("window.maximized", False)
-        size = None if asked else numbers("window.size", 2)
-        self._surface.restore(size, numbers("window.place", 2), maximized)
+        maximized = not asked and self._preferences.get("window.maximized", bool, False)
+        size = None if asked else self._preferences.get("window.size", tuple[float, float])
+        self._surface.restore(size, self._preferences.get("window.place", tuple[float, float]), maximized)
         return self._surface.geometry()
 
     def _remember(self) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from core.vocabulary import Light
 from display.keep.keeper import Remembered
-from display.preferences import Preferences, config_folder, read_bookmarks
+from display.preferences import Bookmarks, PathText, Preferences, config_folder
 from display.protocol import Frame
 from display.user_commands import LoadState, SetLight, Undo
 from display.window.gl_window import covers
@@ -29,14 +29,14 @@ def test_what_is_set_is_there_at_the_next_start(path):
     first.set("light.sandbox", {"strength": 0.5})
     first.set("light.sandbox", None)
     again = Preferences(path)
-    assert again.numbers("window.size", 2) == [800, 600] and again.get("panel.open", True) is False
-    assert again.get("light.sandbox", {}) == {} and "light.sandbox" not in json.loads(path.read_text())
+    assert again.get("window.size", tuple[float, float]) == (800, 600) and again.get("panel.open", bool, True) is False
+    assert again.get("light.sandbox", Light) is None and "light.sandbox" not in json.loads(path.read_text())
 
 
 def test_without_a_path_values_last_as_long_as_the_program():
     preferences = Preferences()
     preferences.set("sound", False)
-    assert preferences.get("sound", True) is False and Preferences().get("sound", True) is True
+    assert preferences.get("sound", bool, True) is False and Preferences().get("sound", bool, True) is True
 
 
 @pytest.mark.parametrize("value", ["x", [1], [1, True], [1, None], [1, float("nan")], [1, 10**400], {"0": 1}, 3, None])
@@ -44,7 +44,7 @@ def test_values_of_another_type_count_as_absent(path, value):
     path.parent.mkdir()
     path.write_text(json.dumps({"window.size": value, "sound": value}))
     preferences = Preferences(path)
-    assert preferences.numbers("window.size", 2) is None and preferences.get("sound", True) is True
+    assert preferences.get("window.size", tuple[float, float]) is None and preferences.get("sound", bool, True) is True
 
 
 def test_two_programs_keep_each_others_values(path):
@@ -53,8 +53,8 @@ def test_two_programs_keep_each_others_values(path):
     two.set("folder", "/films")
     one.set("panel.open", False)
     again = Preferences(path)
-    assert again.get("folder", "") == "/films"
-    assert not again.get("sound", True) and not again.get("panel.open", True)
+    assert again.get("folder", PathText) == "/films"
+    assert not again.get("sound", bool, True) and not again.get("panel.open", bool, True)
     assert [p.name for p in path.parent.iterdir()] == [path.name]  # neither locks nor parts are left
 
 
@@ -67,7 +67,7 @@ def test_a_damaged_file_is_set_aside_and_told_once(path, text, capsys):
     aside = path.with_name("preferences.broken.json")
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and aside.name in told
-    assert aside.read_text(encoding="latin-1") == text and Preferences(path).get("sound", True) is False
+    assert aside.read_text(encoding="latin-1") == text and Preferences(path).get("sound", bool, True) is False
     path.write_text("no")
     Preferences(path)
     assert aside.read_text(encoding="latin-1") == text and path.with_name("preferences.broken_2.json").exists()
@@ -78,7 +78,7 @@ def test_a_place_that_cannot_be_written_is_told_once_and_the_play_goes_on(tmp_pa
     preferences = Preferences(tmp_path / "file" / "preferences.json")
     preferences.set("sound", False)
     preferences.set("panel.open", False)
-    assert preferences.get("sound", True) is False
+    assert preferences.get("sound", bool, True) is False
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -94,7 +94,7 @@ def test_the_lock_of_a_killed_program_does_not_hold_up_the_play(path, monkeypatc
     path.parent.mkdir()
     path.with_name(f".{path.name}.lock").touch()
     Preferences(path).set("sound", False)
-    assert Preferences(path).get("sound", True) is False
+    assert Preferences(path).get("sound", bool, True) is False
 
 
 def test_the_folder_follows_the_platform(monkeypatch, tmp_path):
@@ -146,10 +146,13 @@ def test_the_last_state_of_the_scene_is_loaded_unless_another_is_named():
     assert play(remembered(preferences), LoadState("b.h5")) == [LoadState("b.h5")]
 
 
-def test_views_that_make_no_sense_are_left_out():
-    good = [[0, 1, 2], [0, 0, 0.5]]
-    bad = {"2": 3, "3": [[0, 1], [0, 0, 0]], "4": [[1, 1, 1], [1, 1, 1]], "5": [[0, 0, "x"], [0, 0, 0]]}
-    assert read_bookmarks({"1": good, **bad}) == {"1": good}
+@pytest.mark.parametrize("bad", [3, [[0, 1], [0, 0, 0]], [[0, 0, "x"], [0, 0, 0]]])
+def test_views_of_another_form_are_left_out(bad):
+    preferences, good = Preferences(), ((0.0, 1.0, 2.0), (0.0, 0.0, 0.5))
+    preferences.set("bookmarks.sandbox", {"1": good})
+    assert preferences.get("bookmarks.sandbox", Bookmarks, {}) == {"1": good}
+    preferences.set("bookmarks.sandbox", {"1": good, "2": bad})
+    assert preferences.get("bookmarks.sandbox", Bookmarks, {}) == {}
 
 
 def test_a_place_on_no_screen_is_not_returned_to():

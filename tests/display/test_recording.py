@@ -191,7 +191,7 @@ def test_a_command_that_cannot_be_replayed_is_left_out_with_a_line(tmp_path, cap
     record(tmp_path / "play.h5", [Frame(0.1, 0.1, [], [], [Rescale(0, np.nan)]), Frame(0.1, 0.2, [], [], [Reset()])])
     assert [f.commands for f in Replay.load(tmp_path / "play.h5").recorded] == [[], [Reset()]]
     assert capsys.readouterr().err == (
-        f"{tmp_path / 'play.h5'}: not recorded: the command 'rescale': [1] is nan, not a number\n"
+        f"{tmp_path / 'play.h5'}: not recorded: the command 'rescale': [1] is None, not a number\n"
     )
 
 

@@ -155,7 +155,7 @@ def preferences_version(path: Path) -> int:
 
     preferences = Preferences(path)
     assert preferences.path is not None and not list(path.parent.glob("*broken*"))
-    return int(preferences.numbers("window.size", 2)[0])
+    return int(preferences.get("window.size", tuple[float, float])[0])
 
 
 def write_checkpoint(folder: Path, k: int) -> None:

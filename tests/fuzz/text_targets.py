@@ -62,17 +62,22 @@ PREFERENCES = {
 
 def read_preferences(path: Path) -> None:
     """Read settings, and one of each kind; what is damaged is told and set aside, and the program goes on."""
-    from display.preferences import Preferences, read_bookmarks
+    from core.vocabulary import Light
+    from display.preferences import Bookmarks, PathText, Preferences
 
     with contextlib.redirect_stderr(io.StringIO()) as said:
         preferences = Preferences(path)
-        for count in (2, 3):
-            preferences.numbers("window.size", count)
-        for key, default in (("panel.open", True), ("folder", ""), ("panel.sections", {}), ("light.ring_toss", {})):
-            preferences.get(key, default)
-        read_bookmarks(preferences.get("bookmarks.ring_toss", {}))
+        for key, kind in (
+            ("window.size", tuple[float, float]),
+            ("panel.open", bool),
+            ("folder", PathText),
+            ("panel.sections", dict[str, bool]),
+            ("light.ring_toss", Light),
+            ("bookmarks.ring_toss", Bookmarks),
+        ):
+            preferences.get(key, kind)
         preferences.set("sound", False)
-    assert said.getvalue().count("\n") <= 1 and Preferences(path).get("sound", True) is False
+    assert said.getvalue().count("\n") <= 1 and Preferences(path).get("sound", bool, True) is False
     for aside in path.parent.glob("*.broken*"):
         aside.unlink()
 

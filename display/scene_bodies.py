@@ -18,7 +18,6 @@ from core.errors import BadInput
 from core.morton import morton_order
 from core.rotation import best_fit_rotation, matrices_from_quaternions
 from core.vocabulary import Body, BodyState
-from scenes.roles import bounds
 from scenes.scene import Scene
 from sim.contact.static_shapes import StaticGrid
 from sim.embedding import EmbeddedBody
@@ -212,6 +211,8 @@ def pieces_of(asset: str, name: str = "") -> list[Piece]:
 
 def put_over(pieces: Sequence[Piece], scene: Scene, bodies: Sequence[BodyState]) -> list[Piece]:
     """The pieces over the middle of the play, clear of its bodies; animated ones stand beside them."""
+    from scenes.roles import bounds  # here: most plays need no roles
+
     placed = pieces[0].placed
     low, high = bounds(placed.asset, placed)
     spot = np.array(scene.room.spot if scene.room is not None else scene.target, np.float64)

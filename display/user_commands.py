@@ -25,6 +25,9 @@ FilePath = Annotated[str, Size(4096)]
 class Command:
     """Base of all commands.
 
+    Those of a subclass are carried out as it says, the others by the world, or the viewer of files. Keys are bound to
+    commands in display/window/key_bindings.py, rows of the panel in display/panel.py.
+
     A body is named by its index; None is the selected body, the one last held or pointed at. A command of a drag is
     `continued` if it goes on with the last one: undo takes back the whole drag.
 
@@ -87,29 +90,33 @@ class SetTimeScale(Command, key="time_scale"):
     continued: bool = False
 
 
+class EditCommand(Command):
+    """A command about bodies or the room, which the editor carries out (display/edit/editor.py)."""
+
+
 @dataclass(frozen=True)
-class Select(Command, key="select"):
+class Select(EditCommand, key="select"):
     """Select a body, or none."""
 
     body: BodyIndex | None
 
 
 @dataclass(frozen=True)
-class Remove(Command, key="remove"):
+class Remove(EditCommand, key="remove"):
     """Remove a body."""
 
     body: BodyIndex | None = None
 
 
 @dataclass(frozen=True)
-class Duplicate(Command, key="duplicate"):
+class Duplicate(EditCommand, key="duplicate"):
     """Put a copy of a body above it, or beside it if it is animated."""
 
     body: BodyIndex | None = None
 
 
 @dataclass(frozen=True)
-class Rescale(Command, key="rescale"):
+class Rescale(EditCommand, key="rescale"):
     """Scale a body by a factor."""
 
     body: BodyIndex | None
@@ -117,7 +124,7 @@ class Rescale(Command, key="rescale"):
 
 
 @dataclass(frozen=True)
-class Rotate(Command, key="rotate"):
+class Rotate(EditCommand, key="rotate"):
     """Rotate a body about its centre by a quaternion (wxyz)."""
 
     body: BodyIndex | None
@@ -125,7 +132,7 @@ class Rotate(Command, key="rotate"):
 
 
 @dataclass(frozen=True)
-class Place(Command, key="place"):
+class Place(EditCommand, key="place"):
     """Move a body by an offset [m], and turn it by a quaternion (wxyz) about its centre; it comes to rest there."""
 
     body: BodyIndex | None
@@ -135,7 +142,7 @@ class Place(Command, key="place"):
 
 
 @dataclass(frozen=True)
-class TurnRoom(Command, key="turn_room"):
+class TurnRoom(EditCommand, key="turn_room"):
     """Turn the user's room and all that is in it by a quaternion (wxyz) about the point that the scene looks at."""
 
     rotation: tuple[float, float, float, float]
@@ -143,7 +150,7 @@ class TurnRoom(Command, key="turn_room"):
 
 
 @dataclass(frozen=True)
-class SetMaterial(Command, key="material"):
+class SetMaterial(EditCommand, key="material"):
     """Make a body of another material, given or named (core/material.py)."""
 
     body: BodyIndex | None
@@ -152,12 +159,12 @@ class SetMaterial(Command, key="material"):
 
 
 @dataclass(frozen=True)
-class Undo(Command, key="undo"):
+class Undo(EditCommand, key="undo"):
     """Undo the last edit, grasp or change of light."""
 
 
 @dataclass(frozen=True)
-class Redo(Command, key="redo"):
+class Redo(EditCommand, key="redo"):
     """Redo the edit that was undone last."""
 
 

@@ -21,6 +21,7 @@ from display.scene_bodies import pieces_of, put_over
 from display.user_commands import (
     Command,
     Duplicate,
+    EditCommand,
     Place,
     Redo,
     Remove,
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from display.device_scene import DeviceScene
 
 DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2, "turn room": 2}  # frames without such a command that end its drag
-EDITS = (Select, Remove, Duplicate, Rescale, Rotate, Place, TurnRoom, SetMaterial, Undo, Redo)
 SELECTING = (Select, Duplicate, Rescale, Rotate, Place, SetMaterial)  # after these the selected body is marked
 SETTINGS = ("light", "gravity", "time_scale")  # of the world: an undo of one leaves the bodies where they are
 FARTHEST = 100.0  # [m] that a body can be moved at once
@@ -137,7 +137,7 @@ class Editor:
     def apply(self, commands: Sequence[Command]) -> None:
         """Carry out the commands that change bodies."""
         for command in in_order(commands):
-            if isinstance(command, EDITS):
+            if isinstance(command, EditCommand):
                 try:
                     self.notice.clear()
                     self._carry_out(command)

@@ -48,7 +48,8 @@ def text_box(
     )
     longest = max(area.x - left - 2 * edge - 2 * style.window_padding.x, pixels(100))
     extents = [[imgui.calc_text_size(text, False, longest) for text, _ in line] for line in lines]
-    width = min(max(sum(e.x for e in line) + gap * (len(line) - 1) for line in extents), longest)
+    wide = max(sum(e.x + 1 for e in line) + gap * (len(line) - 1) for line in extents)  # ImGui places on whole pixels
+    width = min(wide, longest)
     height = sum(max(e.y for e in line) for line in extents) + style.item_spacing.y * (len(lines) - 1)
     size = (width + 2 * style.window_padding.x + 1, height + 2 * style.window_padding.y)
     top = area.y - edge - size[1] if bottom else edge

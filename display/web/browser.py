@@ -90,7 +90,7 @@ class Browser:
     def close(self) -> None:
         """Say goodbye to the pages. Further calls do nothing.
 
-        An interrupt is waited for that may come once more: it would kill a program that is about to end.
+        Waits for a second interrupt that may still come: it would kill the program while it ends.
         """
         self._server.close()
         if self._handlers and self._asked is not None:
@@ -101,7 +101,7 @@ class Browser:
 
     @property
     def _full(self) -> tuple[int, int]:
-        """(width, height) [px] of the picture in full: the player's page, no larger than it may be."""
+        """(width, height) [px] of the picture at full size: that of the player's page, within the limits."""
         player = self._server.player
         wanted = player.size if player is not None and player.size is not None else self._largest or SIZE
         if self._largest is not None and (wanted[0] > self._largest[0] or wanted[1] > self._largest[1]):
@@ -119,7 +119,7 @@ class Browser:
     def loading(self, text: str, picture=None) -> None:
         """Show a line of text during a long operation, over a picture or the last one.
 
-        Raises Cancelled where the program is to end, and where Esc is pressed while another scene is opened.
+        Raises Cancelled if the program is to end, or if Esc is pressed while another scene is opened.
         """
         if picture is not None:
             self._start = pixels_of(picture).copy()
@@ -140,7 +140,7 @@ class Browser:
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the program is to end; slower where that cannot be kept up (display/clock.py).
 
-        There are none while nobody sees a page, and few while nothing moves.
+        No frames while no page is visible, few while nothing moves.
         """
         last, self._start, self._started = perf_counter(), None, True
         self._listen_to_signals()
@@ -180,8 +180,7 @@ class Browser:
         sleep(max(0.0, last + PERIOD - perf_counter()))
 
     def _listen_to_signals(self) -> None:
-        """Let Ctrl-C, or a signal to terminate, end the frames, so that all files are finished; a second one does not
-        wait for that."""
+        """End the frames on Ctrl-C or SIGTERM, so that all files are finished; a second one ends at once."""
         if self._handlers or threading.current_thread() is not threading.main_thread():  # which alone may listen
             return
 
@@ -194,7 +193,7 @@ class Browser:
         self._handlers = {kind: signal.signal(kind, end) for kind in (signal.SIGINT, signal.SIGTERM)}
 
     def present(self, world: WorldView) -> None:
-        """Send the world's picture to the pages that take one now, and what the panel shows."""
+        """Send the world's picture to the pages that are ready for one, and the panel's state."""
         with world.timings.stage("present"):
             shown, self._shown = self._shown, (id(world), world.pictures)
             self._picture += shown != self._shown
@@ -209,7 +208,7 @@ class Browser:
         world.timings.frame(dropped=self._dropped)
 
     def _tell(self, world: WorldView) -> None:
-        """Tell the pages what their panels show, not more often than that can be read."""
+        """Send the panel's state to the pages, no more often than it can be read."""
         now = perf_counter()
         if now - self._told >= TOLD_INTERVAL:
             self._told = now
@@ -218,17 +217,17 @@ class Browser:
             self._server.tell(world_state(world, self._panel) | own)
 
     def _camera_moved(self) -> bool:
-        """True if the camera is not where it was in the last frame; takes note of where it is."""
+        """True if the camera has moved since the last frame."""
         self._camera = self._controls.orbit.camera(*self._full)
         before, self._last_view = self._last_view, (self._camera.width, self._camera.world_to_camera.tobytes())
         return before != self._last_view
 
     def _drawing(self, world: WorldView) -> float:
-        """Part of a frame's time that fewer pixels shorten [s]: drawing, and waiting for the page to take a picture."""
+        """Time of a frame that fewer pixels would shorten [s]: drawing, and waiting until the page takes a picture."""
         return world.timings.latest("shadow", "render", "present") + self._waited
 
     def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
-        """Hand the player's messages to the controls; the commands of keys and panel."""
+        """Pass the player's messages to the controls; returns the commands of keys and panel."""
         controls, commands = self._controls, []
         for kind, *what in events:
             if kind == "move":
@@ -269,7 +268,7 @@ class Browser:
         self._controls.move(self._cursor[0] - before[0], self._cursor[1] - before[1], self._camera)
 
     def _pinch(self, notches: float, du: float, dv: float) -> None:
-        """Two fingers: what one of them holds goes nearer or farther, else the camera goes, and is shifted."""
+        """Two fingers: push or pull what is held; otherwise zoom and shift the camera."""
         controls = self._controls
         if controls.drag != "grab":
             controls.release("left")  # the first finger began to turn the view
@@ -277,7 +276,7 @@ class Browser:
         controls.wheel(notches)
 
     def _key(self, code: str, printed: str, down: bool, ctrl: bool, world: WorldView) -> list[Command]:
-        """A key that goes down or up; its commands."""
+        """Pass a key on to the controls; returns its commands."""
         name = pressed_key(code, printed, down=down, ctrl=ctrl)
         binding = BY_CHORD.get(name)
         if name is None or (binding is not None and binding.action in WINDOW_ONLY and name != "escape"):
@@ -288,7 +287,7 @@ class Browser:
         return commands
 
     def stats(self) -> dict:
-        """Counts for `--stats`: latency from the oldest input that a picture is the first to show."""
+        """Counts for `--stats`. Latency is measured from the oldest input that a picture is the first to show."""
         flows = self._server.flows
         latencies = 1e3 * np.concatenate([[], *(flow.latencies for flow in flows)])
         intervals = np.concatenate([[], *(flow.intervals for flow in flows)])
@@ -304,7 +303,7 @@ class Browser:
 
 
 def pressed_key(code: str, key: str, *, down: bool, ctrl: bool) -> str | None:
-    """Name of a key for the controls, from `code` and `key` of a KeyboardEvent; None: none of ours."""
+    """Name of a key for the controls, from `code` and `key` of a KeyboardEvent; None for other keys."""
     place = CODES.get(code) or code.removeprefix("Key").removeprefix("Digit").lower()
     place = place if place in PLACES or place in CODES.values() else None
     return chord_name(place, key.lower() if len(key) == 1 else "", down=down, ctrl=ctrl)

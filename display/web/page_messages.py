@@ -134,7 +134,7 @@ def described_scene(demo: Demo) -> dict:
 
 
 def scene_request(name: str, options: dict) -> OpenScene | None:
-    """The command that opens a scene of the menu with options that it has; None if there is none such."""
+    """The command that opens a scene of the menu; None if there is no such scene or option."""
     for demo in demos():
         known = {option.name: option.choices for option in chosen_by_list(demo)}
         if demo.name == name and all(value in known.get(key, ()) for key, value in options.items()):
@@ -143,8 +143,9 @@ def scene_request(name: str, options: dict) -> OpenScene | None:
 
 
 def world_state(world: WorldView, panel: Panel) -> dict:
-    """What a page shows of a world beside its picture; cheap enough for every frame. A key for each section of the
-    panel: a change of one is all that then goes to the page."""
+    """What a page shows of a world beside its picture; cheap enough for every frame.
+
+    Each section of the panel has its own key, so that only sections that changed are sent."""
     score, message = score_and_message(world)
     sections = panel.sections(world)
     return {

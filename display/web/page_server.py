@@ -99,7 +99,7 @@ class PictureFlow:
 
     @property
     def ready(self) -> bool:
-        """May another picture be sent?"""
+        """True if another picture may be sent."""
         return len(self._sent) < self.window
 
     @property
@@ -164,7 +164,7 @@ class Page:
     heard: float = field(default_factory=perf_counter)  # [s] when the last one came
 
     def may_speak(self, now: float) -> bool:
-        """Count a message against what a page may send."""
+        """Count a message; False if the page sends too many."""
         self.allowance = min(BURST, self.allowance + (now - self.heard) * MESSAGES_PER_SECOND) - 1.0
         self.heard = now
         return self.allowance >= 0.0
@@ -173,7 +173,7 @@ class Page:
 class PageServer:
     """Serves until `close`. `address` is the URL with the token. Raises BadInput if it cannot listen there.
 
-    hello   what a page is told first
+    hello   first message to a page
     encode  bytes of the pixels (H, W, 4) uint8 RGBA in a quality
     """
 
@@ -212,18 +212,18 @@ class PageServer:
 
     @property
     def watched(self) -> bool:
-        """Does anyone see a page?"""
+        """True if any page is visible."""
         with self._changed:
             return any(not page.hidden for page in self._pages)
 
     @property
     def details(self) -> bool:
-        """Does a page show the timings?"""
+        """True if any page shows the timings."""
         with self._changed:
             return any(page.details for page in self._pages)
 
     def catch_up(self) -> None:
-        """Let the server's thread read all that has come."""
+        """Let the server's thread read everything that has arrived."""
 
         async def hops() -> None:
             for _ in range(LOOP_HOPS):
@@ -235,7 +235,7 @@ class PageServer:
                 done.result(THREAD_PATIENCE)
 
     def wait(self, seconds: float, *, for_picture: bool = False) -> None:
-        """Wait for an event of the player, or until a page takes the next picture, `seconds` at most."""
+        """Wait for an event of the player, or until the player's page is ready for a picture, at most `seconds`."""
 
         def due() -> bool:
             if for_picture:
@@ -246,7 +246,7 @@ class PageServer:
             self._changed.wait_for(due, seconds)
 
     def take(self) -> list[tuple]:
-        """The player's messages since the last call, without stamps; ("left",) where another page plays from now on."""
+        """The player's messages since the last call, without stamps; ("left",) where another page took over."""
         with self._changed:
             events = list(self._events)
             self._events.clear()
@@ -256,7 +256,7 @@ class PageServer:
         return [event[:-1] if event[0] in STAMPED else event for event in events]
 
     def show(self, picture: int, overlay: list, pixels: Callable[[], np.ndarray], *, still: bool) -> None:
-        """Send a picture to the pages that take one now and do not have it.
+        """Send a picture to the pages that are ready for one and do not have it yet.
 
         picture  its number; overlay: strokes over it; pixels: gives (H, W, 4) uint8 RGBA
         still    nothing moves: it goes out in full quality, again if need be
@@ -291,7 +291,7 @@ class PageServer:
         sent.wait(THREAD_PATIENCE)
 
     def greet(self, hello: dict) -> None:
-        """Let this be what pages are told first, those that are open too."""
+        """Replace the first message to pages, and send it to those that are open."""
         with self._changed:
             self._hello, pages = hello, list(self._pages)
         for page in pages:
@@ -311,7 +311,7 @@ class PageServer:
             self._call(send, page, json.dumps(news))
 
     def _call(self, function: Callable, *arguments) -> None:
-        """Let the server's thread do something, if it still runs."""
+        """Call a function in the server's thread, if it still runs."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(function, *arguments)
 
@@ -400,7 +400,7 @@ class PageServer:
             await asyncio.sleep(PING_INTERVAL)
 
     def _receive(self, page: Page, message: str | bytes) -> None:
-        """Take a message of a page. Raises BadInput if it is malformed or one too many."""
+        """Handle a message of a page. Raises BadInput if it is malformed, or if there are too many."""
         now = perf_counter()
         if not page.may_speak(now):
             raise BadInput("too many messages")
@@ -432,7 +432,7 @@ class PageServer:
             self._assign_roles()
 
     def _queue(self, event: tuple) -> None:
-        """Keep an event for the display; of moves that follow each other the last one, with the stamp of the first."""
+        """Queue an event for the display; of consecutive moves only the last, with the stamp of the first."""
         if event[0] == "move" and self._events and self._events[-1][0] == "move":
             event = (*event[:-1], self._events.pop()[-1])
         if len(self._events) >= MAX_EVENTS:
@@ -440,7 +440,7 @@ class PageServer:
         self._events.append(event)
 
     def _send_all(self, messages: Sequence[tuple[Page, bytes]], sent: threading.Event) -> None:
-        """Put pictures on their way, and say so."""
+        """Send pictures, then set `sent`."""
         for page, data in messages:
             with self._changed:
                 page.flow.count(len(data))
@@ -449,7 +449,7 @@ class PageServer:
 
 
 def send(page: Page, message: str | bytes) -> None:
-    """Put a message on its way; nothing if the socket closes. In the server's thread."""
+    """Send a message, unless the socket is closing. Runs in the server's thread."""
     from websockets.asyncio.server import broadcast
 
     broadcast([page.connection], message)
@@ -487,7 +487,7 @@ def response(connection, status: HTTPStatus, body: str = "", kind: str = "text/p
 
 
 def page_response(connection, title: str):
-    """The page with its style and its script in it, so that one answer is all there is to get."""
+    """The page with style and script inlined: a single answer holds everything."""
     from html import escape
 
     nonce = secrets.token_urlsafe(12)

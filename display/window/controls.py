@@ -39,7 +39,7 @@ RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, n
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
 GIZMOS = (None, "move", "turn", "scale")  # in the order of the key
 ROOM_GIZMO = "room"  # rings that turn the whole room
-HOVER_PERIOD = 0.05  # [s] between two looks for the body under the cursor
+HOVER_PERIOD = 0.05  # [s] between two queries for the body under the cursor
 HOVER_OPACITY = 0.5  # of the corners around it
 ENDING_DRAGS = (
     user_commands.Reset,
@@ -89,14 +89,14 @@ class Controls:
         self.show_scene(scene, name)
 
     def show_scene(self, scene: Scene, name: str) -> None:
-        """Look at this scene from where it begins, with nothing held."""
+        """Show this scene from its first view, with nothing held."""
         self.let_go()
         self.orbit, self.measured = OrbitCamera(scene.eye, scene.target, scene.fov_y), None
         self._bookmarks_key = f"bookmarks.{name}"
         self._bookmarks = self._preferences.get(self._bookmarks_key, Bookmarks, {})
 
     def press(self, button: str, u: float, v: float, camera: Camera, world: WorldView) -> None:
-        """Take a mouse button that goes down over the picture."""
+        """Handle a mouse button that goes down over the picture."""
         if self.drag is not None:
             return
         if self.measured is not None and button == "left":
@@ -113,7 +113,7 @@ class Controls:
             self._lowest = None if ground is None else ground + EYE_CLEARANCE
 
     def _measure_at(self, point: np.ndarray | None, world: WorldView) -> None:
-        """Take a point of a length to be measured."""
+        """Add a point of a length to be measured."""
         if point is None:
             world.tell("Nothing is there: click on something that is seen.")
         elif len(self.measured) < 2:
@@ -131,7 +131,7 @@ class Controls:
         return True
 
     def release(self, button: str) -> None:
-        """Take a mouse button that goes up: the drag that it began ends."""
+        """Handle a mouse button that goes up: ends the drag that it began."""
         if button != self._button:
             return
         if self.drag == "grab":
@@ -139,7 +139,7 @@ class Controls:
         self.drag = self._button = None
 
     def move(self, du: float, dv: float, camera: Camera) -> None:
-        """Take a motion of the cursor [px]."""
+        """Handle a motion of the cursor [px]."""
         angle = ORBIT_PER_HEIGHT / camera.height
         if self.drag == "grab" and self._shift:
             self.hand.push(-2.0 * dv / camera.height)
@@ -158,14 +158,14 @@ class Controls:
         self.orbit.move(-du * metres_per_pixel, dv * metres_per_pixel, 0.0)
 
     def wheel(self, notches: float) -> None:
-        """Take a turn of the wheel; positive is away from the user."""
+        """Handle a turn of the wheel; positive is away from the user."""
         if self.drag == "grab":
             self.hand.push(PUSH_PER_NOTCH * notches)
         else:
             self.orbit.zoom(notches)
 
     def key(self, name: str, down: bool, world: WorldView, u: float, v: float, camera: Camera) -> list[Command]:
-        """Take a key that goes down or up, with the cursor at (u, v) of a camera's picture; its commands."""
+        """Handle a key that goes down or up, with the cursor at (u, v) of a camera's picture; returns its commands."""
         if name == "shift":
             self._shift = down
         elif name in WALK_KEYS:
@@ -177,7 +177,7 @@ class Controls:
         return []
 
     def _act(self, action, press: Press) -> list[Command]:
-        """Do what a binding says; the commands of that."""
+        """Carry out the action of a binding; returns its commands."""
         if isinstance(action, str):
             return getattr(self, action)(press) or []
         commands = [self._aimed(action, press)] if isinstance(action, Command) else list(action(press.world))
@@ -185,7 +185,7 @@ class Controls:
         return commands
 
     def _aimed(self, command: Command, press: Press) -> Command:
-        """A command for the body under the cursor; for the one that is held, or that was selected last, else."""
+        """A command aimed at the body under the cursor; else at the one that is held or was selected last."""
         if not hasattr(command, "body") or self.drag == "grab":
             return command
         hit = press.world.pick(*press.camera.ray(press.u, press.v))
@@ -212,8 +212,8 @@ class Controls:
     # the actions of key_bindings.py that concern the window alone, or the camera
 
     def escape(self, press: Press) -> list[Command]:
-        """End the first of these that is: the drag, the list of keys, a measurement, a menu or dialog, what is being
-        opened, the gizmo, the demonstration; else the play."""
+        """End the first of these that is active: the drag, the list of keys, a measurement, a menu or dialog, what is
+        being opened, the gizmo, the demonstration; else quit."""
         if self.drag is not None:
             self._drop()
         elif self.help:
@@ -263,7 +263,7 @@ class Controls:
             press.world.tell("Only a room of your own can be turned: vrgs.py capture, or --stage ROOM.")
 
     def measure(self, press: Press) -> None:
-        """Ask for two points whose distance the user knows, or do not."""
+        """Begin to measure between two points, or stop that."""
         self.measured = [] if self.measured is None else None
         if self.measured is not None:
             press.world.tell("Click two points whose distance you know (Esc: none).")
@@ -343,7 +343,7 @@ class Controls:
 
     def advance(self, camera: Camera, dt: float, *, running: bool = True, pace: float = 1.0) -> list[Hand]:
         """Walk for `dt` [s] and return the mouse's hand, if it grips. It waits while the world does not run, and moves
-        at its `pace`: seconds of the world in one of the user's."""
+        at the world's `pace`, in seconds of the world per second of real time."""
         if self._walking:
             right, up, forward = np.sum([WALK_KEYS[name] for name in self._walking], axis=0)
             speed = max(MIN_WALK_SPEED, WALK_RATE * self.orbit.distance) * (RUN_FACTOR if self._shift else 1.0)
@@ -351,7 +351,7 @@ class Controls:
         return self.hand.hands(camera, dt if running else 0.0, pace)
 
     def hands(self, camera: Camera, dt: float, commands: Iterable[Command], world: WorldView) -> list[Hand]:
-        """The hand of a frame with these commands, after `dt` [s]: of a world that is paused by then, it waits."""
+        """The mouse's hand after a frame of `dt` [s] with these commands; it waits while the world is paused."""
         pause, step = last_of(Pause, commands), last_of(SingleStep, commands)
         paused = world.paused if pause is None else pause.on
         return self.advance(camera, dt, running=not paused or step is not None, pace=world.time_scale)
@@ -360,11 +360,11 @@ class Controls:
 class Hover:
     """The body under the cursor, which a press of the button would take.
 
-    It looks for the body when something moves, but not in each frame: a look costs as much as a ray into the world."""
+    The world is only queried when something moves, and not in each frame: a query casts a ray."""
 
     def __init__(self):
         self._found: tuple[int | None, float] = (None, 0.0)  # and when [s]
-        self._cursor: tuple[float, float] | None = None  # of the last look
+        self._cursor: tuple[float, float] | None = None  # of the last query
 
     def under(
         self, world: WorldView, camera: Camera, cursor: tuple[float, float] | None, *, moving: bool

@@ -34,8 +34,7 @@ def has_system_dialog() -> bool:
 
 
 def begin_dialog(name: str, width: float, *, foot: bool = False) -> None:
-    """Begin an ImGui window without a title, `width` [px] wide, in the middle, or at the lower edge: seldom over what
-    is measured."""
+    """Begin an ImGui window without a title, `width` [px] wide, in the middle or (`foot`) at the lower edge."""
     from imgui_bundle import imgui
 
     area, flags = imgui.get_io().display_size, imgui.WindowFlags_
@@ -48,7 +47,7 @@ def begin_dialog(name: str, width: float, *, foot: bool = False) -> None:
 
 
 def write_problem(problem: str) -> None:
-    """Write what is wrong with what the user has entered, if anything is."""
+    """Write what is wrong with the input, if anything is."""
     from imgui_bundle import imgui
 
     if problem:
@@ -60,7 +59,7 @@ def write_problem(problem: str) -> None:
 class OpenDialog:
     """The files that the user wants to open. `shown` while it asks something; `draw` gives the commands.
 
-    A body joins the play, a room replaces the scene's, from a state it goes on; of a splat the user says what it is.
+    A body joins the play, a room replaces the scene's, a state is loaded; of a splat the user is asked what it is.
     """
 
     def __init__(self, preferences: Preferences):
@@ -98,7 +97,7 @@ class OpenDialog:
                 self._open(path, kind)
 
     def close(self) -> None:
-        """Open nothing more."""
+        """Close the dialog and forget what was asked."""
         self.shown, self._problem, self._asked = False, "", []
 
     def draw(self, world: WorldView) -> list[Command]:
@@ -198,7 +197,7 @@ class LengthDialog:
 
 
 class UpChoice:
-    """The pictures as buttons, as long as the world has several for the user to choose from.
+    """A strip of pictures in which the user chooses which way is up, while the world offers several.
 
     gl  the context (moderngl) of its pictures
     """

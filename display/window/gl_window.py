@@ -15,7 +15,7 @@ SYMBOLS = {"+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
 
 
 def key_name(place: str | None, printed: str) -> str | None:
-    """Name of a key, by its place on a QWERTY keyboard (None: none of ours) and what is printed on it; or None."""
+    """Name of a key by its place on a QWERTY keyboard (or None) and what is printed on it; None: no key of ours."""
     if place is not None and (len(place) > 1 or place in WALKING or place.isdigit()):
         return place
     if printed in SYMBOLS:
@@ -155,7 +155,7 @@ class GLWindow:
         return bool(self.glfw.window_should_close(self.handle))
 
     def stay(self) -> None:
-        """Stay open, though the user has asked to close the window."""
+        """Ignore the user's request to close the window."""
         self.glfw.set_window_should_close(self.handle, False)
 
     def geometry(self) -> dict:

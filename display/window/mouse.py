@@ -16,7 +16,7 @@ FOLLOW_TIME = 0.03  # [s], time constant of the hand behind the cursor: evens ou
 MAX_SPEED = 8.0  # [m/s]; a hard throw by a real hand, and a flick of the wrist on a mouse pad can ask for more
 MIN_DEPTH, MAX_DEPTH = 0.1, 50.0  # [m] of the hand before the camera
 THROW_WINDOW = 0.08  # [s] before the release that decide the throw: fingers slow down as they let go
-FOLLOW_THROUGH = 0.03  # [s] that the grip goes on at the speed of the throw, so that the whole body takes it up
+FOLLOW_THROUGH = 0.03  # [s] that the grip continues at the speed of the throw, so that the whole body takes it up
 MIN_THROW_SPEED = 0.2  # [m/s]; slower is putting down
 
 
@@ -134,7 +134,7 @@ class MouseHand:
     def hands(self, camera: Camera, dt: float, pace: float = 1.0) -> list[Hand]:
         """The hand after `dt` [s], where it closes in on the cursor or follows through; none when it is open.
 
-        `pace`: seconds of the world in one of the user's. The hand moves in the world's time, but a throw is as fast
+        `pace`: seconds of the world per second of real time. The hand moves in the world's time, but a throw is as fast
         as the cursor was in the user's.
         A grip begins with a hand that was not there before, so it never seems to come from elsewhere.
         """

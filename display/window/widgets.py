@@ -143,7 +143,7 @@ def table_row(name: str, *values: str, colour: tuple[float, ...] | None = None) 
 class Sliders:
     """Sliders under their names and values: nothing covers a number. Ctrl+click types one, a right click resets it.
 
-    They know whether a change goes on with the last one, so that a drag can be undone as one.
+    They track whether a change continues the last one, so that a drag can be undone as one.
     """
 
     def __init__(self):
@@ -155,7 +155,7 @@ class Sliders:
         return [slider.command(*change) for slider, change in moved if change is not None]
 
     def _draw(self, slider: Slider) -> tuple[float, bool] | None:
-        """Draw a slider. Returns the new value and whether this change goes on with the last one, or None."""
+        """Draw a slider. Returns the new value and whether this change continues the last one, or None."""
         from imgui_bundle import imgui
 
         flags, name, value, usual = imgui.SliderFlags_, slider.name, slider.value, slider.usual

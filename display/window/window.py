@@ -38,7 +38,7 @@ class Window:
 
     `width` and `height` are in screen coordinates, by default those of `preferences`, which keep size, place, panel
     and the views of the scene of that `name` from one start to the next; `size` is the picture's. Raises BadInput
-    without a display or OpenGL 3.3. `hint`: the user plays, and is told how to begin. Close it (or use it in a
+    without a display or OpenGL 3.3. With `hint` the first picture says how to begin. Close it (or use it in a
     `with`), so that the screen is given back.
     """
 

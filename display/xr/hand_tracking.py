@@ -83,7 +83,7 @@ class HandGestures:
         self._gesture: str | None = None  # "grab" or "pinch"
 
     def read(self, joints: HandJoints | None) -> Controller:
-        """The controller that the hand amounts to. A hand that is not tracked keeps its gesture."""
+        """The hand as a controller. A hand that is not tracked keeps its gesture."""
         if joints is None:
             return Controller()
         self._gesture = self._recognise(joints)

@@ -186,7 +186,7 @@ class Headset:
             raise BadInput(f"--xr: {runtime.name} begins no session ({type(e).__name__}); {WINDOW_INSTEAD}") from e
 
     def loading(self, text: str, picture=None) -> None:
-        """Show nothing: the runtime has its own waiting room until the next frame. Raises Cancelled if the mirror was
+        """Do nothing: the runtime has its own waiting room until the next frame. Raises Cancelled if the mirror was
         closed."""
         if self._mirror.closing:
             raise Cancelled(quits=True)
@@ -246,7 +246,7 @@ class Headset:
         return Frame(tick.dt, self._clock.time, cameras, hands, commands, max_step=tick.max_step, prop_poses=poses)
 
     def _cameras(self, world: WorldView) -> list[Camera]:
-        """The eyes' cameras, asked for when the world has moved: the later, the truer to where the head will be."""
+        """The eyes' cameras, located after the world has moved: the later, the better the prediction of the head."""
         display_time, session = self._frame_state.predicted_display_time, self._session
         try:
             now = session.guarded(self._runtime.now)
@@ -290,7 +290,7 @@ class Headset:
             self._session.actions.pulse(1, TAP_STRENGTH, TAP_SECONDS)
 
     def _choose_resolution(self, world: WorldView) -> None:
-        """Draw as many pixels from now on as hold the headset's rate, or as the user chose."""
+        """Set the picture's size to what holds the headset's rate, or to what the user chose."""
         scale = self._mirror.resolution
         if scale is None:
             drawing = world.timings.latest("render", "present")
@@ -306,7 +306,7 @@ class Headset:
         time.sleep(0.05)
 
     def _reconnect(self, why: str, world: WorldView) -> bool:
-        """Wait for the lost runtime or another one; True if the play goes on. BadInput after too many losses."""
+        """Wait for the lost runtime or another one; True if one is back. Raises BadInput after too many losses."""
         self._messages.lost(self._runtime.name, why)
         self._session.close()
         self._runtime.close()

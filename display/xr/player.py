@@ -141,8 +141,7 @@ class Player:
         self._stick_pushed = True
 
     def feel(self, world: WorldView, actions: ActionSet) -> None:
-        """Let the hands feel a tap where they take hold or touch, the pull of what they hold, the push of what they
-        touch."""
+        """Vibrate: a tap where a hand takes hold or touches, then in proportion to the force on it."""
         forces, touches = world.hand_forces(), world.touch_forces()
         for h in (0, 1):
             force, touch = force_norm(forces, h), force_norm(touches, h)
@@ -218,7 +217,7 @@ class PinchTeleport:
         self._pinches = self._aims = False
 
     def apply(self, c: Controller, world_from_play: np.ndarray, world: WorldView) -> Controller:
-        """The controller that the hand is instead: while it aims, its stick is pushed and it holds nothing."""
+        """The controller that stands in for the hand: while it aims, its stick is pushed and it holds nothing."""
         if c.grip is None and self._aims:  # not tracked: it continues, but its direction is unknown
             return replace(c, stick=(0.0, 1.0))
         if c.joints is None:
@@ -268,7 +267,7 @@ class PoseFilter:
         self._remaining: list[float | None] = [0.0, 0.0]  # [s] until the hand is there; None while it is lost
 
     def apply(self, controllers: list[Controller], dt: float) -> list[Controller]:
-        """The controllers, those that have just been found with another grip pose. `dt` [s] is the frame's."""
+        """The controllers; grip poses that were just found again are led there. `dt` [s] is the frame's."""
         return [replace(c, grip=self._lead(h, c.grip, dt)) for h, c in enumerate(controllers)]
 
     def _lead(self, h: int, found: np.ndarray | None, dt: float) -> np.ndarray | None:

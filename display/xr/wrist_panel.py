@@ -232,7 +232,7 @@ class WristPanel:
         return right, commands
 
     def _commands(self, name: str, world: WorldView) -> Sequence[Command]:
-        """The commands of a button; none of the light's, which is to be placed, and of those that turn a page."""
+        """The commands of a button; none of the light's and of those that turn a page."""
         if name in scene_requests():
             return [scene_requests()[name]]
         button = described_buttons(world, self.described).get(name)
@@ -277,8 +277,8 @@ class WristPanel:
         return self.hovered
 
     def _place_light(self, right: Controller, world_from_play: np.ndarray, world: WorldView) -> list[Command]:
-        """The light is where the hand is, until the trigger is released; taken with a finger, until it was pulled and
-        released."""
+        """Move the light with the hand until the trigger is released; if a finger took it, until the trigger was
+        pulled and released."""
         if not self.placing:
             return []
         if self._trigger:

@@ -12,7 +12,7 @@ import numpy as np
 from assets.formats.ply import chunk_order
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import COMPRESSED, kind_to_write, read_gaussians, write_gaussians
-from commands.options import SPLATS, Options, argument
+from commands import options as cli
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
@@ -20,13 +20,13 @@ PROGRESS_SIZE_MIN = 20 << 20  # [bytes] of input; less takes about a second
 
 
 @dataclass(kw_only=True)
-class ConvertOptions(Options):
+class ConvertOptions(cli.Options):
     """Options of `convert`."""
 
     EXAMPLES = ("convert cat.sog cat.spz",)
 
-    input: Path = argument("IN", f"{SPLATS} or .h5")
-    output: Path = argument("OUT", ".ply, .compressed.ply, .spz or .splat")
+    input: Path = cli.argument("IN", f"{cli.SPLATS} or .h5")
+    output: Path = cli.argument("OUT", ".ply, .compressed.ply, .spz or .splat")
 
 
 def convert(options: ConvertOptions) -> None:

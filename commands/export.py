@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from assets.file_access import check_writable
-from commands.options import Condition, Count, option, switch
+from commands import options as cli
 from commands.play import PREPARATION, STATE, PlayOptions, SceneOptions, open_session
 from core.errors import BadInput
 
@@ -25,23 +25,23 @@ class ExportOptions(SceneOptions):
     )
     CONDITIONS = (
         STATE,
-        Condition(("--format",), lambda o: is_folder(o.out), "is for a folder: a file's name says its kind"),
-        Condition(("--every",), lambda o: is_folder(o.out), "is for a sequence: --out must be a folder"),
-        Condition(("--no-shadows",), lambda o: kind_of(o) not in ("vtu", "obj"), "is for splats, not for cages"),
+        cli.Condition(("--format",), lambda o: is_folder(o.out), "is for a folder: a file's name says its kind"),
+        cli.Condition(("--every",), lambda o: is_folder(o.out), "is for a sequence: --out must be a folder"),
+        cli.Condition(("--no-shadows",), lambda o: kind_of(o) not in ("vtu", "obj"), "is for splats, not for cages"),
         PREPARATION,
     )
 
-    out: Path = option(
+    out: Path = cli.option(
         "FILE|DIR",
         "file of the last frame (.ply, .compressed.ply, .spz, .splat, .vtu, .obj), or folder of a sequence",
         required=True,
     )
-    every: Count | None = option("N", "sequence: every N-th frame, of 60 a second (default 2)")
-    format: Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"] = option(
+    every: cli.Count | None = cli.option("N", "sequence: every N-th frame, of 60 a second (default 2)")
+    format: Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"] = cli.option(
         None, "sequence: kind of its files (default ply)", "ply"
     )
-    only: str | None = option("BODY", "one body, by its number or the name of its asset")
-    no_shadows: bool = switch("splats: colours as in full light")
+    only: str | None = cli.option("BODY", "one body, by its number or the name of its asset")
+    no_shadows: bool = cli.switch("splats: colours as in full light")
 
 
 def kind_of(options: ExportOptions) -> str:

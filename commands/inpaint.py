@@ -11,28 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write, check_writable
-from commands.options import (
-    SPLATS,
-    Arch,
-    Condition,
-    Count,
-    OneOf,
-    Options,
-    arch_option,
-    argument,
-    option,
-    reduce_option,
-    switch,
-)
+from commands import options as cli
 from core.errors import BadInput
 from core.runtime import start_taichi
 
 FIGURES = 4  # views in the report
-WHICH = OneOf(required=True)
+WHICH = cli.OneOf(required=True)
 
 
 @dataclass(kw_only=True)
-class InpaintOptions(Options):
+class InpaintOptions(cli.Options):
     """Options of `inpaint`."""
 
     EXAMPLES = (
@@ -42,35 +30,37 @@ class InpaintOptions(Options):
         "inpaint room.ply --remove bear --capture room/ --lama lama.onnx --out empty.ply",
     )
     CONDITIONS = (
-        Condition(("--truth",), lambda o: o.capture and o.report, "belongs to --capture and --report"),
-        Condition(("--reduce",), lambda o: o.capture and o.truth, "belongs to --truth"),
+        cli.Condition(("--truth",), lambda o: o.capture and o.report, "belongs to --capture and --report"),
+        cli.Condition(("--reduce",), lambda o: o.capture and o.truth, "belongs to --truth"),
     )
 
-    scene: Path = argument("SCENE", f"{SPLATS} or .h5; for --remove a .ply or .h5 that knows its objects")
-    remove: list[str] | None = option("OBJECT", "names or ids of the objects to remove from SCENE", one_of=WHICH)
-    objects: list[Path] | None = option(
+    scene: Path = cli.argument("SCENE", f"{cli.SPLATS} or .h5; for --remove a .ply or .h5 that knows its objects")
+    remove: list[str] | None = cli.option("OBJECT", "names or ids of the objects to remove from SCENE", one_of=WHICH)
+    objects: list[Path] | None = cli.option(
         "FILE", "splats of objects that SCENE no longer contains, as `train --split` writes them", one_of=WHICH
     )
-    out: Path = option("OUT", "OUT.ply, .spz, .splat, .compressed.ply", required=True)
-    capture: Path | None = option(
+    out: Path = cli.option("OUT", "OUT.ply, .spz, .splat, .compressed.ply", required=True)
+    capture: Path | None = cli.option(
         "CAPTURE",
         "the capture that SCENE was trained on: what no photograph shows is filled; "
         "default: what is empty under OBJECT",
     )
-    lama: Path | None = option(
+    lama: Path | None = cli.option(
         "FILE.onnx",
         "LaMa network with inputs image (1, 3, 512, 512) and mask (1, 1, 512, 512) in 0..1 (default: patch synthesis)",
     )
-    keep_shadow: bool = switch("leave the object's shadow; default: its surroundings get back the light that it took")
-    steps: Count | None = option("N", "training steps of the new Gaussians (default 200)")
-    report: Path | None = option(
+    keep_shadow: bool = cli.switch(
+        "leave the object's shadow; default: its surroundings get back the light that it took"
+    )
+    steps: cli.Count | None = cli.option("N", "training steps of the new Gaussians (default 200)")
+    report: Path | None = cli.option(
         "R.json", "write the results as JSON, and a page and a picture (before, after) beside it"
     )
-    truth: Path | None = option(
+    truth: Path | None = cli.option(
         "FOLDER", "photographs without the object, named as in the capture, for the PSNR in the report"
     )
-    reduce: Count = reduce_option("the truth")
-    arch: Arch | None = arch_option()
+    reduce: cli.Count = cli.reduce_option("the truth")
+    arch: cli.Arch | None = cli.arch_option()
 
 
 def inpaint(options: InpaintOptions) -> None:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from commands.options import Options
+from commands import options as cli
 from core.material import MATERIALS
 from scenes import registry
 
 
 @dataclass(kw_only=True)
-class ScenesOptions(Options):
+class ScenesOptions(cli.Options):
     """`scenes` takes no options."""
 
     EXAMPLES = ("scenes",)
 
 
 @dataclass(kw_only=True)
-class MaterialsOptions(Options):
+class MaterialsOptions(cli.Options):
     """`materials` takes no options."""
 
     EXAMPLES = ("materials",)

@@ -1,26 +1,25 @@
-"""`vrgs.py bench`, `check` and `figures`: speed, the physics table, and the paper's figures; bench/ measures."""
+"""`vrgs.py bench`, `check`, `figures` and `tune`: speed, the physics table, the paper's figures, a body's stiffness."""
 
 from __future__ import annotations
 
 import importlib
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from assets.library import SHIPPED_FOLDER
-from commands.options import (
-    Arch,
-    Condition,
-    Count,
-    Options,
-    Size,
-    arch_option,
-    argument,
-    option,
-    switch,
-)
+import numpy as np
+
+from assets.asset import Asset
+from assets.file_access import check_writable
+from assets.library import SHIPPED_FOLDER, default_material, find_asset
+from commands import options as cli
+from commands.prepared import cached_body, is_asset
 from core.errors import BadInput
+from core.material import Material
 from core.runtime import start_taichi
+
+DROP_HEIGHT_MIN = 0.1  # [m], without --height
 
 SUBJECTS = {
     "sim": ("bench.sim_speed", "the solver, 400 substeps a frame"),
@@ -46,7 +45,7 @@ TAKERS = {  # subjects that take an option, of those that not all take
 
 
 @dataclass(kw_only=True)
-class BenchOptions(Options):
+class BenchOptions(cli.Options):
     """Options of `bench`."""
 
     EXAMPLES = (
@@ -55,78 +54,82 @@ class BenchOptions(Options):
         "bench train fox/ bear/ --variants plain fast --json train.json",
     )
     CONDITIONS = tuple(
-        Condition(flags, lambda o, takers=takers: o.subject in takers, f"belongs to bench {' and '.join(takers)}")
+        cli.Condition(flags, lambda o, takers=takers: o.subject in takers, f"belongs to bench {' and '.join(takers)}")
         for takers, flags in TAKERS.items()
     )
 
-    subject: Literal["sim", "scene", "render", "frame", "demos", "popping", "train"] = argument(
+    subject: Literal["sim", "scene", "render", "frame", "demos", "popping", "train"] = cli.argument(
         None, "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
     )
-    names: list[str] = argument("NAME", "demos: which (default: all that are there); train: captures", optional=True)
-    detail: Literal["shipped", "paper"] = option(
+    names: list[str] = cli.argument(
+        "NAME", "demos: which (default: all that are there); train: captures", optional=True
+    )
+    detail: Literal["shipped", "paper"] = cli.option(
         None, "demos: assets as shipped, or at the paper's sizes (python -m studio --detail paper)", "shipped"
     )
-    splats: Path = option(
+    splats: Path = cli.option(
         "SPLATS", "popping: splats to draw (default: the dining room)", SHIPPED_FOLDER / "dining_room.h5"
     )
-    sizes: list[str] | None = option(
+    sizes: list[str] | None = cli.option(
         "N", "numbers of vertices; sim: some of 1.7k 9.3k 24k 46k (default: all); scene: any (default: 10k 20k 46k)"
     )
-    asset: list[str] | None = option(
+    asset: list[str] | None = cli.option(
         "FILE",
         "scene: splats, prepared bodies (.h5), or ball, mug, ring, bunny, capsule (default: these five)",
     )
-    materials: list[str] = option("NAME", "scene: (default: plush rubber wood)", ["plush", "rubber", "wood"])
-    acts: list[Literal["drop", "throw", "squeeze", "stack"]] = option(
+    materials: list[str] = cli.option("NAME", "scene: (default: plush rubber wood)", ["plush", "rubber", "wood"])
+    acts: list[Literal["drop", "throw", "squeeze", "stack"]] = cli.option(
         None, "scene: (default: all)", ["drop", "throw", "squeeze", "stack"]
     )
-    frames: Count | None = option("N", "scene, demos: a row (default 1000; quick 240, 30)")
-    quick: bool = switch("scene: one row, 2 s; demos: few frames")
-    bodies: Path | None = option("DIR", "scene: folder of bodies that were made for it (default: in the user's cache)")
-    gaussians: list[Literal["0.305M", "1.313M", "2.526M"]] = option(
+    frames: cli.Count | None = cli.option("N", "scene, demos: a row (default 1000; quick 240, 30)")
+    quick: bool = cli.switch("scene: one row, 2 s; demos: few frames")
+    bodies: Path | None = cli.option(
+        "DIR", "scene: folder of bodies that were made for it (default: in the user's cache)"
+    )
+    gaussians: list[Literal["0.305M", "1.313M", "2.526M"]] = cli.option(
         None, "render: rooms (default: all)", ["0.305M", "1.313M", "2.526M"]
     )
-    size: Size = option("WxH", "render, demos: picture of an eye (default 1800x1920)", (1800, 1920))
-    rounds: Count = option("N", "frames measured (default 12)", 12)
-    steps: Count | None = option("N", "train: steps (default 30000 on a GPU, 3000 on a CPU)")
-    at: list[Count] = option("N", "train: steps after which it is tested as well (default 7000)", [7000])
-    reduce: Count = option("N", "train: divide the photographs' sides by N", 1)
-    test_every: Count = option("N", "train: keep every Nth photograph for the test (default 8)", 8)
-    cap: Count | None = option("N", "train: most Gaussians (default as train's)")
-    seed: int = option("S", "train: seed of all random numbers", 0)
-    variants: list[str] = option(
+    size: cli.Size = cli.option("WxH", "render, demos: picture of an eye (default 1800x1920)", (1800, 1920))
+    rounds: cli.Count = cli.option("N", "frames measured (default 12)", 12)
+    steps: cli.Count | None = cli.option("N", "train: steps (default 30000 on a GPU, 3000 on a CPU)")
+    at: list[cli.Count] = cli.option("N", "train: steps after which it is tested as well (default 7000)", [7000])
+    reduce: cli.Count = cli.option("N", "train: divide the photographs' sides by N", 1)
+    test_every: cli.Count = cli.option("N", "train: keep every Nth photograph for the test (default 8)", 8)
+    cap: cli.Count | None = cli.option("N", "train: most Gaussians (default as train's)")
+    seed: int = cli.option("S", "train: seed of all random numbers", 0)
+    variants: list[str] = cli.option(
         "V", "train: kinds of training, each `plain`, `fast` or like sparse=1,coarse=0.3 (default plain)", ["plain"]
     )
-    json: Path | None = option("OUT.json", "write the rows")
-    arch: Arch | None = arch_option()
+    json: Path | None = cli.option("OUT.json", "write the rows")
+    arch: cli.Arch | None = cli.arch_option()
 
 
 @dataclass(kw_only=True)
-class CheckOptions(Options):
+class CheckOptions(cli.Options):
     """Options of `check`."""
 
     EXAMPLES = ("check --quick --json table.json",)
 
-    quick: bool = switch("minutes, not hours: fewer substeps, throws and seconds")
-    json: Path | None = option("OUT.json", "write the table")
-    arch: Arch | None = arch_option()
+    quick: bool = cli.switch("minutes, not hours: fewer substeps, throws and seconds")
+    json: Path | None = cli.option("OUT.json", "write the table")
+    arch: cli.Arch | None = cli.arch_option()
 
 
 @dataclass(kw_only=True)
-class FiguresOptions(Options):
+class FiguresOptions(cli.Options):
     """Options of `figures`."""
 
     EXAMPLES = ("figures --out figures", "figures --out /tmp/figures --quick")
 
-    out: Path = option(
+    out: Path = cli.option(
         "DIR", "folder for figures.html, which holds all pictures, and figures.json, the numbers", required=True
     )
-    capture: Path | None = option(
+    capture: Path | None = cli.option(
         "DIR",
         "the figure of inpainting: a capture with the truth behind its objects (python -m studio --capture DIR)",
     )
-    quick: bool = switch("small pictures, one demo, one toy: two minutes")
-    arch: Arch | None = arch_option()
+    quick: bool = cli.switch("small pictures, one demo, one toy: two minutes")
+    arch: cli.Arch | None = cli.arch_option()
 
 
 def bench(options: BenchOptions) -> int | None:
@@ -155,3 +158,65 @@ def figures(options: FiguresOptions) -> None:
     from bench.paper_figures import run
 
     run(options)
+
+
+@dataclass(kw_only=True)
+class TuneOptions(cli.Options):
+    """Options of `tune`."""
+
+    EXAMPLES = ("tune cat.h5 --from 3e3 --to 3e5 --out cat_tune.png",)
+    CONDITIONS = (
+        cli.Condition(("--from", "--to", "--steps"), lambda o: not o.young, "is for moduli that --young does not list"),
+    )
+
+    asset: str = cli.argument("ASSET", "a prepared asset, a shipped one by name, or a splat file")
+    young: list[cli.Amount] | None = cli.option("E", "Young's moduli to try [Pa]")
+    lowest: cli.Amount = cli.option("E", "without --young: lowest modulus (default 1e3)", 1e3, flag="--from")
+    highest: cli.Amount = cli.option("E", "highest modulus (default 1e6)", 1e6, flag="--to")
+    steps: cli.Count = cli.option("N", "number of moduli (default 6)", 6)
+    material: str | None = cli.option(
+        "NAME", "material whose modulus is varied (default: the asset's; see: vrgs.py materials)"
+    )
+    height: cli.Amount | None = cli.option(
+        "M", f"height of the drop (default: half the body's, at least {DROP_HEIGHT_MIN})"
+    )
+    out: Path | None = cli.option("STRIP.png", "strip of pictures (default: ASSET_tune.png)")
+    json: Path | None = cli.option("OUT.json", "write the table")
+    arch: cli.Arch | None = cli.arch_option()
+
+
+def tune(options: TuneOptions) -> None:
+    """Print the table and write the strip. Raises BadInput."""
+    start_taichi(options.arch)
+    from display.headless.stiffness_sweep import drop_each, strip
+    from display.picture import save_picture
+    from display.timing import write_stats
+
+    path, name = find_asset(options.asset), Path(options.asset).stem
+    if not is_asset(options.asset):
+        path, _ = cached_body(path, cli.Preparation(), options.arch)
+    asset = Asset.load(path)
+    if asset.cage is None:
+        raise BadInput(f"{options.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
+    youngs = options.young or np.geomspace(options.lowest, options.highest, options.steps).tolist()
+    out = options.out or Path(f"{name}_tune.png")
+    for file in filter(None, (out, options.json)):
+        check_writable(file)
+    material = Material.named(options.material) if options.material else default_material(str(path))
+    height = np.ptp(asset.cage.vertices[:, 1])
+    drop_height = options.height or float(max(DROP_HEIGHT_MIN, 0.5 * height))
+    drops = []
+    print(f"{name}, {100 * height:.1f} cm high, dropped from {drop_height:.2f} m")
+    print(f"{'young [Pa]':>10} {'compression':>12} {'rebound':>10} {'settled':>9} {'substeps':>9} {'dt [s]':>10}  path")
+    for d in drop_each(path, asset.cage.vertices, material, youngs, drop_height):
+        notes = ["" if d.at_rest else "still moving", "" if d.finite else "not finite"]
+        print(
+            f"{d.young:10.3g} {d.compression:12.1%} {100 * d.rebound:7.1f} cm {d.settled:9.1%} {d.substeps:9d}"
+            f" {d.dt:10.3g}  {d.path}  {', '.join(filter(None, notes))}".rstrip(),
+            flush=True,
+        )
+        drops.append(d)
+    save_picture(out, strip(name, drops, drop_height))
+    if options.json:
+        write_stats(options.json, [d.row() for d in drops])
+    print(f"wrote {out}", file=sys.stderr)

@@ -21,8 +21,8 @@ from core.program import VERSION, as_called
 SUMMARY = "VR-GS: captures as Gaussians that can be grabbed, squeezed and thrown."
 COMMANDS = {  # module and function, which takes the command's options as their dataclass; only what runs is imported
     "scenes": ("commands.listing:list_scenes", "list the demos and their options"),
-    "view": ("commands.view:view", "look at splat files in a window"),
-    "render": ("commands.render:render", "draw a splat file, or film a turn around it"),
+    "view": ("commands.viewing:view", "look at splat files in a window"),
+    "render": ("commands.viewing:render", "draw a splat file, or film a turn around it"),
     "train": ("commands.train:train", "train Gaussians on photographs or a video"),
     "capture": (
         "commands.capture_room:capture",
@@ -45,7 +45,7 @@ COMMANDS = {  # module and function, which takes the command's options as their 
         "make the paper's figures and tables: one page with pictures and numbers",
     ),
     "tune": (
-        "commands.tune:tune",
+        "commands.measuring:tune",
         "drop a body with one stiffness after another: what each does, as a table and a strip of pictures",
     ),
     "materials": ("commands.listing:list_materials", "list the materials by name"),

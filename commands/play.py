@@ -10,24 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from assets.file_access import check_writable
-from commands.options import (
-    Arch,
-    Condition,
-    Count,
-    OneOf,
-    Options,
-    PictureName,
-    Port,
-    Preparation,
-    RenderScale,
-    Size,
-    Sort,
-    arch_option,
-    option,
-    seed_option,
-    sort_option,
-    switch,
-)
+from commands import options as cli
 from commands.prepared import is_asset, prepared_bodies, prepared_capture, prepared_stage
 from core.errors import BadInput
 from core.runtime import start_taichi
@@ -44,77 +27,79 @@ if TYPE_CHECKING:
 FPS = 60  # [1/s] of a headless play
 SIZE = (960, 540)  # [px] of a headless play
 SECONDS = 5  # [s] of a headless play of a scene without a game
-INPUT, WHERE = OneOf(), OneOf()
-PREPARATION = Condition(
+INPUT, WHERE = cli.OneOf(), cli.OneOf()
+PREPARATION = cli.Condition(
     ("--up", "--front", "--scale", "--vertices", "--cells", "--pieces"),
     lambda o: o.replay or not all(map(is_asset, o.body or ())),
     "is for a splat file given by --body; an asset or a room of its own: see vrgs.py prepare",
 )
-STATE = Condition(("--state",), lambda o: not o.replay, "is not for a replay, which begins where it did")
+STATE = cli.Condition(("--state",), lambda o: not o.replay, "is not for a replay, which begins where it did")
 
 
 @dataclass(kw_only=True)
-class SceneOptions(Preparation):
+class SceneOptions(cli.Preparation):
     """What is played, and how long. `options`: those of the scene, by name."""
 
     CONDITIONS = (STATE, PREPARATION)
 
-    scene: str = option(
+    scene: str = cli.option(
         "NAME|ROOM/|FILE.py",
         "demo to play (see: vrgs.py scenes), a captured room, or your own scene file, which is run (default "
         "ring_toss; with --body sandbox)",
         "ring_toss",
     )
-    arch: Arch | None = arch_option()
-    interaction: Literal["physics", "transform"] = option(
+    arch: cli.Arch | None = cli.arch_option()
+    interaction: Literal["physics", "transform"] = cli.option(
         None, "effect of a grip: it deforms and throws bodies, or moves them as they are", "physics"
     )
-    embedding: Literal["two-level", "one-level"] = option(None, "how Gaussians follow the cage", "two-level")
-    frames: Count | None = option("N", "stop after N frames")
-    state: Path | None = option("FILE.h5", "go on from a saved state, with its scene, bodies and view")
-    replay: Path | None = option("FILE.h5", "replay recorded input, and compare the states", one_of=INPUT)
-    seed: int = seed_option()
-    body: list[str] | None = option(
+    embedding: Literal["two-level", "one-level"] = cli.option(None, "how Gaussians follow the cage", "two-level")
+    frames: cli.Count | None = cli.option("N", "stop after N frames")
+    state: Path | None = cli.option("FILE.h5", "go on from a saved state, with its scene, bodies and view")
+    replay: Path | None = cli.option("FILE.h5", "replay recorded input, and compare the states", one_of=INPUT)
+    seed: int = cli.seed_option()
+    body: list[str] | None = cli.option(
         "FILE",
         "splat file or prepared asset to play with; several times: in the scene's roles, in their order",
         repeat=True,
     )
-    stage: str | None = option("ROOM", "a room to play in, a splat or prepared with --static")
-    material: str | None = option("NAME", "material of --body (default: the asset's own; see: vrgs.py materials)")
-    detail: Literal["shipped", "paper"] = option(
+    stage: str | None = cli.option("ROOM", "a room to play in, a splat or prepared with --static")
+    material: str | None = cli.option("NAME", "material of --body (default: the asset's own; see: vrgs.py materials)")
+    detail: Literal["shipped", "paper"] = cli.option(
         None, "assets as shipped, or at the paper's sizes (make them: python -m studio --detail paper)", "shipped"
     )
     options: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(kw_only=True)
-class DisplayOptions(Options):
+class DisplayOptions(cli.Options):
     """Where a scene is shown, and what is written of the play."""
 
-    xr: bool = switch("play in a headset", one_of=WHERE)
-    headless: bool = switch("no window: the scene's scripted hand plays", one_of=WHERE)
-    web: Port | None = option(
+    xr: bool = cli.switch("play in a headset", one_of=WHERE)
+    headless: bool = cli.switch("no window: the scene's scripted hand plays", one_of=WHERE)
+    web: cli.Port | None = cli.option(
         "PORT", "play in a browser; prints the address (default port: 8090, or the next free one)", one_of=WHERE, bare=0
     )
-    host: str | None = option("ADDRESS", "--web: address to listen on (default 127.0.0.1: this machine alone)")
-    sort: Sort | None = sort_option("radial")
-    size: Size | None = option("WxH", "picture size (default 960x540, of a window: the last one's)")
-    render_scale: RenderScale = option("S", "--xr: factor of the width and height that the headset recommends", 1.0)
-    stereo: bool = switch("headless: draw two eyes, 63 mm apart")
-    record: Path | None = option("OUT.mp4", "write a film")
-    snapshot: PictureName | None = option("OUT.png", "write the last frame: .png, .jpg or .webp")
-    save_state: Path | None = option(
+    host: str | None = cli.option("ADDRESS", "--web: address to listen on (default 127.0.0.1: this machine alone)")
+    sort: cli.Sort | None = cli.sort_option("radial")
+    size: cli.Size | None = cli.option("WxH", "picture size (default 960x540, of a window: the last one's)")
+    render_scale: cli.RenderScale = cli.option(
+        "S", "--xr: factor of the width and height that the headset recommends", 1.0
+    )
+    stereo: bool = cli.switch("headless: draw two eyes, 63 mm apart")
+    record: Path | None = cli.option("OUT.mp4", "write a film")
+    snapshot: cli.PictureName | None = cli.option("OUT.png", "write the last frame: .png, .jpg or .webp")
+    save_state: Path | None = cli.option(
         "FILE.h5", "write the state of the scene at the end; --state FILE.h5 goes on from it"
     )
-    sound: Literal["auto", "on", "off"] = option(
+    sound: Literal["auto", "on", "off"] = cli.option(
         None,
         "sound of impacts, also in the film of --record; auto: if there is a device and the package for it",
         "auto",
     )
-    stats: Path | None = option("OUT.json", "write timings and counts")
-    record_input: Path | None = option("FILE.h5", "record your input, to be replayed", one_of=INPUT)
-    study: Path | None = option("OUT.h5", "record the play in this file of a user study (see: vrgs.py study)")
-    participant: str | None = option("NAME", "--study: name of the player, by which both settings are compared")
+    stats: Path | None = cli.option("OUT.json", "write timings and counts")
+    record_input: Path | None = cli.option("FILE.h5", "record your input, to be replayed", one_of=INPUT)
+    study: Path | None = cli.option("OUT.h5", "record the play in this file of a user study (see: vrgs.py study)")
+    participant: str | None = cli.option("NAME", "--study: name of the player, by which both settings are compared")
 
 
 @dataclass(kw_only=True)
@@ -141,17 +126,17 @@ class PlayOptions(SceneOptions, DisplayOptions):
         "check --quick",
     )
     CONDITIONS = (
-        Condition(("--render-scale",), lambda o: o.xr, "belongs to --xr; elsewhere: --size"),
-        Condition(("--size",), lambda o: not o.xr, "is not for --xr: a headset says what it takes; --render-scale"),
-        Condition(("--stereo",), lambda o: o.headless, "belongs to --headless"),
-        Condition(("--host",), lambda o: o.web is not None, "belongs to --web"),
+        cli.Condition(("--render-scale",), lambda o: o.xr, "belongs to --xr; elsewhere: --size"),
+        cli.Condition(("--size",), lambda o: not o.xr, "is not for --xr: a headset says what it takes; --render-scale"),
+        cli.Condition(("--stereo",), lambda o: o.headless, "belongs to --headless"),
+        cli.Condition(("--host",), lambda o: o.web is not None, "belongs to --web"),
         STATE,
-        Condition(
+        cli.Condition(
             ("--sound",),
             lambda o: o.sound != "on" or o.record or not (o.headless or o.web is not None),
             "on: nothing is heard here, but in the film of --record",
         ),
-        Condition(("--participant",), lambda o: o.study, "belongs to --study OUT.h5"),
+        cli.Condition(("--participant",), lambda o: o.study, "belongs to --study OUT.h5"),
         PREPARATION,
     )
 

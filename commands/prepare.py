@@ -7,43 +7,31 @@ from pathlib import Path
 from typing import Literal
 
 from assets.file_access import file_size
-from commands.options import (
-    SPLATS,
-    Amount,
-    Arch,
-    Condition,
-    Count,
-    OneOf,
-    Preparation,
-    arch_option,
-    argument,
-    option,
-    switch,
-)
+from commands import options as cli
 from commands.prepared import cached_body, cached_environment, is_animated, suited
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.runtime import start_taichi
 
-WHERE = OneOf(required=True)
+WHERE = cli.OneOf(required=True)
 
 
 @dataclass(kw_only=True)
-class PrepareOptions(Preparation):
+class PrepareOptions(cli.Preparation):
     """Options of `prepare`."""
 
     EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
     CONDITIONS = (
-        Condition(("--cell", "--cut"), lambda o: o.static, "belongs to --static"),
-        Condition(
+        cli.Condition(("--cell", "--cut"), lambda o: o.static, "belongs to --static"),
+        cli.Condition(
             ("--pieces",), lambda o: not o.static, "belongs to bodies; objects are cut out of a scene with --cut"
         ),
-        Condition(
+        cli.Condition(
             ("--front", "--vertices", "--cells", "--material", "--mesher", "--rig", "--landmarks", "--no-report"),
             lambda o: not o.static,
             "belongs to bodies; with --static nothing is simulated",
         ),
-        Condition(
+        cli.Condition(
             (
                 *("--cell", "--cut", "--material", "--mesher", "--rig", "--landmarks"),
                 *("--no-report", "--force", "--quantised"),
@@ -51,33 +39,35 @@ class PrepareOptions(Preparation):
             lambda o: not o.cache,
             "belongs to --out",
         ),
-        Condition(("--up", "--scale"), lambda o: not (o.cache and o.static), "belongs to --out"),
+        cli.Condition(("--up", "--scale"), lambda o: not (o.cache and o.static), "belongs to --out"),
     )
 
-    splats: Path = argument("SPLATS", f"{SPLATS}, skinned .glb; --static: or .h5")
-    out: Path | None = option("ASSET.h5", "file to write", one_of=WHERE)
-    cache: bool = switch("keep it where --body and --stage look for it, so that a play begins at once", one_of=WHERE)
-    rig: Path | None = option("RIG.glb", "animate a standing person by this rig's motion")
-    landmarks: Path | None = option("L.json", "positions of the person's joints (default: guessed)")
-    material: str | None = option(
+    splats: Path = cli.argument("SPLATS", f"{cli.SPLATS}, skinned .glb; --static: or .h5")
+    out: Path | None = cli.option("ASSET.h5", "file to write", one_of=WHERE)
+    cache: bool = cli.switch(
+        "keep it where --body and --stage look for it, so that a play begins at once", one_of=WHERE
+    )
+    rig: Path | None = cli.option("RIG.glb", "animate a standing person by this rig's motion")
+    landmarks: Path | None = cli.option("L.json", "positions of the person's joints (default: guessed)")
+    material: str | None = cli.option(
         "NAME",
         f"{', '.join(list(MATERIALS)[:-1])} or {list(MATERIALS)[-1]} "
         "(default plush, stiffer where a slender shape needs it; with a rig flesh)",
     )
-    static: bool = switch("the splat is a room or garden to play in")
-    cell: Amount | None = option("M", "--static: spacing of the distance grid (default: by size)")
-    cut: list[Count] | None = option("ID", "--static: objects to cut out, each into a file")
-    force: bool = switch("overwrite OUT")
-    mesher: Literal["stuffing", "tetgen"] = option(
+    static: bool = cli.switch("the splat is a room or garden to play in")
+    cell: cli.Amount | None = cli.option("M", "--static: spacing of the distance grid (default: by size)")
+    cut: list[cli.Count] | None = cli.option("ID", "--static: objects to cut out, each into a file")
+    force: bool = cli.switch("overwrite OUT")
+    mesher: Literal["stuffing", "tetgen"] = cli.option(
         None,
         "maker of the tetrahedra (default stuffing; tetgen as in the paper: see requirements-tetgen.txt)",
         "stuffing",
     )
-    no_report: bool = switch("leave out ASSET.report.html and ASSET.report.json")
-    quantised: bool = switch(
+    no_report: bool = cli.switch("leave out ASSET.report.html and ASSET.report.json")
+    quantised: bool = cli.switch(
         "a third to a fifth of the file's size, with losses that are hardly seen (docs/formats.md)"
     )
-    arch: Arch | None = arch_option()
+    arch: cli.Arch | None = cli.arch_option()
 
 
 def prepare(options: PrepareOptions) -> None:

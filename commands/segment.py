@@ -12,7 +12,7 @@ import numpy as np
 
 from assets.file_access import atomic_write, check_writable, locked_folder
 from assets.splat_files import MESHES, READERS, read_gaussians
-from commands.options import Arch, Condition, Count, Options, arch_option, argument, option
+from commands import options as cli
 from core.errors import BadInput
 from core.runtime import start_taichi
 
@@ -25,7 +25,7 @@ LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
 
 
 @dataclass(kw_only=True)
-class SegmentOptions(Options):
+class SegmentOptions(cli.Options):
     """Options of `segment`."""
 
     EXAMPLES = (
@@ -36,45 +36,45 @@ class SegmentOptions(Options):
         "segment room.ply --marks marks.json --out parts/",
     )
     CONDITIONS = (
-        Condition(
+        cli.Condition(
             ("--arch",),
             lambda o: o.splats or is_splats(o.capture),
             "belongs to --splats; nothing else needs a device",
         ),
-        Condition(
+        cli.Condition(
             ("--splats", "--model", "--reduce", "--overlay", "--compare"),
             lambda o: not is_splats(o.capture),
             "is for a capture, not for a splat",
         ),
     )
 
-    capture: Path = argument(
+    capture: Path = cli.argument(
         "CAPTURE|SPLATS",
         "folder with transforms.json or a COLMAP model, or a transforms.json; or a splat file in any format",
     )
-    marks: Path | None = option(
+    marks: Path | None = cli.option(
         "MARKS.json",
         "strokes and boxes in one or more pictures (docs/your_own.md), about two strokes per object. By default a "
         "window opens to draw them; they are saved in CAPTURE/marks.json, for a splat in FOLDER/marks.json",
     )
-    out: Path = option(
+    out: Path = cli.option(
         "FOLDER",
         "output: a mask for each photograph; for a splat, one splat per object, background.ply, and scene.ply with ids",
         required=True,
     )
-    splats: Path | None = option(
+    splats: Path | None = cli.option(
         "SPLATS",
         "splat trained on the capture (vrgs.py train), whose depth carries the marks (default: the sparse points)",
     )
-    model: Path | None = option(
+    model: Path | None = cli.option(
         "FILE.onnx", "network of yours that refines the borders instead of GrabCut (docs/your_own.md)"
     )
-    reduce: Count = option("N", "work on photographs whose width and height are divided by N", 1)
-    overlay: Path | None = option("SHEET", "write all photographs with the masks drawn over them: .png or .html")
-    compare: Path | None = option(
+    reduce: cli.Count = cli.option("N", "work on photographs whose width and height are divided by N", 1)
+    overlay: Path | None = cli.option("SHEET", "write all photographs with the masks drawn over them: .png or .html")
+    compare: Path | None = cli.option(
         "MASKS", "folder of true masks: print the overlap with them (intersection over union, IoU)"
     )
-    arch: Arch | None = arch_option()
+    arch: cli.Arch | None = cli.arch_option()
 
 
 def is_splats(path: Path) -> bool:
@@ -224,7 +224,7 @@ def in_world_of(splats, capture, photographs: list, path: Path):
     """
     from dataclasses import replace
 
-    from commands.render import draw_float
+    from commands.viewing import draw_float
 
     found = []
     for posed in (capture.upright(), capture):

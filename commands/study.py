@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Literal
 
 from assets.file_access import atomic_write
-from commands.options import Condition, Options, argument, option
+from commands import options as cli
 from core.errors import BadInput
 from core.program import as_called
 
 
 @dataclass(kw_only=True)
-class StudyOptions(Options):
+class StudyOptions(cli.Options):
     """Options of `study`."""
 
     EXAMPLES = (
@@ -26,25 +26,25 @@ class StudyOptions(Options):
         "study all.h5 --answers answers_Ida_transform.json",
     )
     CONDITIONS = (
-        Condition(
+        cli.Condition(
             ("--out",),
             lambda o: o.form is None and not o.answers,
             "is for the comparison: leave out --form and --answers",
         ),
-        Condition(("--answers",), lambda o: o.form is None, "and --form do not go together"),
-        Condition(
+        cli.Condition(("--answers",), lambda o: o.form is None, "and --form do not go together"),
+        cli.Condition(
             ("--participant", "--setting"), lambda o: o.form == "", "belongs to --form, which asks in the terminal"
         ),
     )
 
-    files: list[Path] = argument("STUDY.h5", "files of --study")
-    out: Path | None = option("OUT.csv", "write each participant's means")
-    form: str | None = option(
+    files: list[Path] = cli.argument("STUDY.h5", "files of --study")
+    out: Path | None = cli.option("OUT.csv", "write each participant's means")
+    form: str | None = cli.option(
         "FORM.html", "ask the questionnaire in the terminal, or write it as a page that saves the answers", bare=""
     )
-    answers: list[Path] | None = option("ANSWERS.json", "add answers that such a page has saved")
-    participant: str | None = option("NAME", "--form: who answers (default: asked)")
-    setting: Literal["physics", "transform"] | None = option(
+    answers: list[Path] | None = cli.option("ANSWERS.json", "add answers that such a page has saved")
+    participant: str | None = cli.option("NAME", "--form: who answers (default: asked)")
+    setting: Literal["physics", "transform"] | None = cli.option(
         None, "--form: the setting that it is about (default: asked)"
     )
 

@@ -13,19 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from assets.file_access import atomic_write, check_writable
-from commands.options import (
-    Arch,
-    Condition,
-    Count,
-    Options,
-    Sort,
-    arch_option,
-    argument,
-    option,
-    reduce_option,
-    seed_option,
-    switch,
-)
+from commands import options as cli
 from core.errors import BadInput
 from core.runtime import is_out_of_memory, start_taichi
 from prepare.train import train_options
@@ -41,7 +29,7 @@ TEST_PICTURES = 4  # of the report
 
 
 @dataclass(kw_only=True)
-class TrainOptions(Options):
+class TrainOptions(cli.Options):
     """Options of `train`."""
 
     EXAMPLES = (
@@ -53,57 +41,57 @@ class TrainOptions(Options):
         "train room/ --out room.ply --masks room/masks --split     also a splat for each object",
     )
     CONDITIONS = (
-        Condition(("--fresh",), lambda o: o.checkpoint_every > 0, "belongs to --checkpoint-every N"),
-        Condition(("--split",), lambda o: o.masks != NO_MASKS, "belongs to --masks FOLDER"),
+        cli.Condition(("--fresh",), lambda o: o.checkpoint_every > 0, "belongs to --checkpoint-every N"),
+        cli.Condition(("--split",), lambda o: o.masks != NO_MASKS, "belongs to --masks FOLDER"),
     )
 
-    capture: Path = argument(
+    capture: Path = cli.argument(
         "CAPTURE",
         "folder with transforms.json (nerfstudio, instant-ngp) or a COLMAP model, folder of photographs, or a video",
     )
-    out: Path = option("OUT", "OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply", required=True)
-    steps: Count | None = option(
+    out: Path = cli.option("OUT", "OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply", required=True)
+    steps: cli.Count | None = cli.option(
         "N",
         f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU; a third with --fast)",
     )
-    fast: bool = switch(
+    fast: bool = cli.switch(
         "about the same quality in a third of the time or less: fewer steps, the first ones on smaller pictures"
     )
-    strategy: Literal["default", "mcmc"] = option(
+    strategy: Literal["default", "mcmc"] = cli.option(
         None,
         "default: adds Gaussians where detail is missing; mcmc: always uses the whole budget of --cap",
         "default",
     )
-    cap: Count | None = option(
+    cap: cli.Count | None = cli.option(
         "N", f"upper limit of Gaussians (default {CAPS['cuda']:,} on a GPU, {CAPS['cpu']:,} on a CPU)"
     )
-    degree: Literal[0, 1, 2, 3] = option("D", "degree of the spherical harmonics, 0 to 3 (default 3)", 3)
-    antialias: bool = switch("train for anti-aliased rendering (Mip-Splatting)")
-    exposure: bool = switch(
+    degree: Literal[0, 1, 2, 3] = cli.option("D", "degree of the spherical harmonics, 0 to 3 (default 3)", 3)
+    antialias: bool = cli.switch("train for anti-aliased rendering (Mip-Splatting)")
+    exposure: bool = cli.switch(
         "also estimate the exposure and colour balance of each photograph, for captures with automatic exposure"
     )
-    refine_poses: bool = switch("also correct the poses, by fractions of a degree")
-    sort: Sort = option(
+    refine_poses: bool = cli.switch("also correct the poses, by fractions of a degree")
+    sort: cli.Sort = cli.option(
         None,
         "order of blending that is trained for (default radial; pixel: along each pixel's ray, trains slower)",
         "radial",
     )
-    reduce: Count = reduce_option("the photographs")
-    masks: Path | None = option(
+    reduce: cli.Count = cli.reduce_option("the photographs")
+    masks: Path | None = cli.option(
         "FOLDER",
         "object masks, one colour per object, from which each Gaussian learns its object; none: ignore them "
         "(default: CAPTURE/masks)",
     )
-    split: bool = switch("also write a splat of each object and of the background, beside OUT")
-    test_every: int = option("N", "hold out every Nth photograph for testing; 0: none (default 8)", 8)
-    report: Path | None = option("R.json", "write the results as JSON, and a page with pictures beside it")
-    checkpoint_every: int = option(
+    split: bool = cli.switch("also write a splat of each object and of the background, beside OUT")
+    test_every: int = cli.option("N", "hold out every Nth photograph for testing; 0: none (default 8)", 8)
+    report: Path | None = cli.option("R.json", "write the results as JSON, and a page with pictures beside it")
+    checkpoint_every: int = cli.option(
         "N", "steps between checkpoints, from which an interrupted training resumes; 0: none (default 1000)", 1000
     )
-    fresh: bool = switch("ignore a checkpoint and start over")
-    preview: bool = switch("show the Gaussians in a window during training")
-    seed: int = seed_option()
-    arch: Arch | None = arch_option()
+    fresh: bool = cli.switch("ignore a checkpoint and start over")
+    preview: bool = cli.switch("show the Gaussians in a window during training")
+    seed: int = cli.seed_option()
+    arch: cli.Arch | None = cli.arch_option()
 
 
 def train(options: TrainOptions, capture: Capture | None = None) -> None:

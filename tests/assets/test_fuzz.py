@@ -153,12 +153,12 @@ def test_broken_rows_of_a_file_are_counted_and_the_rest_is_drawn(drawing, tmp_pa
     ],
 )
 def test_a_picture_that_does_not_fit_is_refused_in_one_line(ti_cpu, tmp_path, capsys, monkeypatch, error):
-    from commands import render as render_command
+    from commands import viewing
 
     def fail(options):
         raise error
 
-    monkeypatch.setattr(render_command, "draw_pictures", fail)
+    monkeypatch.setattr(viewing, "draw_pictures", fail)
     assert command(tmp_path, CAMERA) == 2
     assert "not enough memory" in said_in_one_line(capsys, tmp_path)
     error = RuntimeError("something else")

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from commands import capture_input
-from commands.capture_input import capture_key, check_can_ask, marks_in, photographed, stages_before
-from commands.capture_room import CaptureOptions
+from commands import capture_room
+from commands.capture_room import CaptureOptions, capture_key, check_can_ask, marks_in, photographed, stages_before
 from core.errors import BadInput
 from prepare.room_capture.stages import Stages
 from prepare.segment.marks import Marks, ViewMarks, write_marks
@@ -60,9 +59,9 @@ def run(tmp_path, monkeypatch):
         write_marks(path, marks)
         return marks
 
-    monkeypatch.setattr(capture_input, "load_pycolmap", lambda: None)
-    monkeypatch.setattr(capture_input, "find_poses", find_poses)
-    monkeypatch.setattr(capture_input, "marked_photographs", mark)
+    monkeypatch.setattr(capture_room, "load_pycolmap", lambda: None)
+    monkeypatch.setattr(capture_room, "find_poses", find_poses)
+    monkeypatch.setattr(capture_room, "marked_photographs", mark)
     monkeypatch.setattr("display.window.gl_window.has_display", lambda: True)
 
     def go(path, **options):

@@ -13,7 +13,7 @@ from tests.support.hard_pictures import round_ones
 
 
 def test_the_command_writes_pictures_and_arrays(ti_cpu, tmp_path):
-    from commands.render import RenderOptions, draw_pictures
+    from commands.viewing import RenderOptions, draw_pictures
 
     write_gaussians(tmp_path / "g.ply", round_ones((0.0, 0.0, 1.0)))
     view = {"width": 16, "height": 8, "fx": 20, "fy": 20, "cx": 8, "cy": 4, "world_to_camera": np.eye(4).tolist()}

@@ -1,67 +1,54 @@
-"""`vrgs.py render`: draw a splat file from given cameras, or film a turn around it."""
+"""`vrgs.py view` and `render`: splat files in a window, through given cameras, or as a film of one turn."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
+import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from assets.camera_file import read_cameras
-from assets.file_access import atomic_write
-from assets.splat_files import read_gaussians
-from commands.options import (
-    SPLATS,
-    Arch,
-    Axis,
-    Condition,
-    Count,
-    Elevation,
-    OneOf,
-    Options,
-    Size,
-    Sort,
-    arch_option,
-    argument,
-    option,
-    sort_option,
-    switch,
-)
+from assets.file_access import atomic_write, check_writable
+from assets.splat_files import kind_to_write, read_gaussians
+from commands import options as cli
 from core.camera import Camera
 from core.errors import BadInput
 from core.runtime import start_taichi
 
 DEFAULT_SORT = "z"  # as other renderers draw
+SIZE = (960, 540)  # [px] of a picture, and from which a window's first view is chosen
 TURNTABLE_FPS = 30.0  # [1/s]
-WHERE = OneOf()
+WHERE = cli.OneOf()
 
 
 @dataclass(kw_only=True)
-class RenderOptions(Options):
+class RenderOptions(cli.Options):
     """Options of `render`."""
 
     EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
     CONDITIONS = (
-        Condition(
+        cli.Condition(
             ("--up", "--size", "--frames", "--elevation"),
             lambda o: o.turntable,
             "belongs to --turntable; a camera file says all of this itself",
         ),
     )
 
-    splats: Path = argument("SPLATS", f"{SPLATS} or .h5")
-    camera: Path | None = option("CAM.json", "one camera or a list", one_of=WHERE)
-    turntable: bool = switch("film one turn around it", one_of=WHERE)
-    out: Path = option("OUT.png|OUT.npz|OUT.mp4", "file to write", required=True)
-    up: Axis | None = option(None, "turntable: the file's up axis (default: guessed)")
-    size: Size = option("WxH", "turntable: picture size (default 960x540)", (960, 540))
-    frames: Count = option("N", "turntable: number of pictures (default 180)", 180)
-    elevation: Elevation = option("DEG", "turntable: elevation of the camera (default 15)", 15.0)
-    sort: Sort | None = sort_option(DEFAULT_SORT)
-    antialias: bool = switch("opacity compensation of Mip-Splatting")
-    arch: Arch | None = arch_option()
+    splats: Path = cli.argument("SPLATS", f"{cli.SPLATS} or .h5")
+    camera: Path | None = cli.option("CAM.json", "one camera or a list", one_of=WHERE)
+    turntable: bool = cli.switch("film one turn around it", one_of=WHERE)
+    out: Path = cli.option("OUT.png|OUT.npz|OUT.mp4", "file to write", required=True)
+    up: cli.Axis | None = cli.option(None, "turntable: the file's up axis (default: guessed)")
+    size: cli.Size = cli.option("WxH", "turntable: picture size (default 960x540)", SIZE)
+    frames: cli.Count = cli.option("N", "turntable: number of pictures (default 180)", 180)
+    elevation: cli.Elevation = cli.option("DEG", "turntable: elevation of the camera (default 15)", 15.0)
+    sort: cli.Sort | None = cli.sort_option(DEFAULT_SORT)
+    antialias: bool = cli.switch("opacity compensation of Mip-Splatting")
+    arch: cli.Arch | None = cli.arch_option()
 
 
 def render(options: RenderOptions) -> None:
@@ -177,3 +164,80 @@ def film_turntable(options: RenderOptions) -> None:
     print(
         f"{options.out}: {options.frames} pictures {width}x{height} of {count} Gaussians, {file.note}, {seconds:.1f} s"
     )
+
+
+@dataclass(kw_only=True)
+class ViewOptions(cli.Options):
+    """Options of `view`."""
+
+    EXAMPLES = ("view cat.ply", "view before.ply after.ply", "view room.ply --background white --out part.ply")
+    CONDITIONS = (
+        cli.Condition(("--frames",), lambda o: o.snapshot is None, "belongs to a window: --snapshot needs one"),
+        cli.Condition(("--out",), lambda o: o.snapshot is None, "is what a crop in the window is written to"),
+    )
+
+    files: list[Path] = cli.argument(
+        "FILE", f"{cli.SPLATS} or .h5; with several, Tab shows the next from the same view"
+    )
+    up: cli.Axis | None = cli.option(None, "the files' up axis (default: guessed)")
+    size: cli.Size | None = cli.option("WxH", "picture size (default 960x540, of a window: the last one's)")
+    background: cli.Colour = cli.option(
+        "COLOUR", "grey, black, white, or as #rrggbb (default grey)", cli.BACKGROUND_NAMES["grey"]
+    )
+    snapshot: cli.PictureName | None = cli.option("OUT.png", "no window: write one picture")
+    out: Path | None = cli.option(
+        "OUT.ply",
+        "file for what a crop leaves (O): .ply, .compressed.ply, .spz or .splat (default: a new .ply each time)",
+    )
+    sort: cli.Sort | None = cli.sort_option("radial")
+    frames: cli.Count | None = cli.option("N", "stop after N frames")
+    arch: cli.Arch | None = cli.arch_option()
+
+
+def view(options: ViewOptions) -> None:
+    """Show the files in a window, or write the snapshot. Raises BadInput."""
+    from display.viewed_file import ViewedFile, scene_around
+    from display.viewer import Viewer
+    from display.window.gl_window import has_display
+
+    if options.snapshot is not None and len(options.files) > 1:
+        raise BadInput("--snapshot draws one file: name one")
+    if options.snapshot is None and not has_display():
+        raise BadInput("no display to open a window on: --snapshot OUT.png writes a picture, `vrgs.py render` a film")
+    if options.out is not None:
+        kind_to_write(options.out)
+        check_writable(options.out)
+    files = [ViewedFile.read(path, options.up) for path in options.files]
+    width, height = options.size or SIZE
+    scene = replace(scene_around(files[0].gaussians, width / height), background=options.background)
+    for file in files:
+        g = file.gaussians
+        print(f"{file.path}: {len(g)} Gaussians, SH degree {g.sh_degree}, {file.note}", file=sys.stderr)
+    name = options.files[0].name if len(files) == 1 else f"{len(files)} files"
+    if options.snapshot is not None:
+        from display.headless.headless import Headless
+
+        display = Headless(scene, width=width, height=height, frames=1, snapshot=options.snapshot)
+    else:
+        from display.preferences import Preferences
+        from display.window.window import Window
+
+        width, height = options.size or (None, None)
+        display = Window(
+            scene,
+            title=name,
+            width=width,
+            height=height,
+            preferences=Preferences.of_user(),
+            name=options.files[0].name,
+        )
+    from display.keep.keeper import Keeper
+
+    with display, Keeper(str(options.files[0])) as keeper:
+        start_taichi(options.arch)
+        width, height = display.size
+        viewer = Viewer(files, scene, width=width, height=height, sort=options.sort, out=options.out)
+        for frame in itertools.islice(display.frames(viewer), options.frames):
+            viewer.step(frame)
+            display.present(viewer)
+            keeper.after(frame, viewer)

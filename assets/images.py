@@ -81,7 +81,7 @@ def decode_image(data: bytes, *, alpha: bool = False) -> np.ndarray | None:
 
 
 def decoded(data: bytes, mode: int) -> np.ndarray | None:
-    """Pixels as OpenCV decodes them in this mode, and nothing said of damage; None if there is too much of it."""
+    """Pixels as OpenCV decodes them in this mode, without its warnings; None if the image is damaged beyond use."""
     import cv2
 
     if data.startswith(PNG_SIGNATURE) and not _png_lengths_fit(data):

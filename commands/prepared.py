@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from commands.play import PlayOptions
     from prepare.progress import Progress
 
-BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 7, 6  # of what `cached_body` and `cached_environment` make
+BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 8, 7  # of what `cached_body` and `cached_environment` make
 
 
 def prepared_bodies(options: PlayOptions) -> list[str]:

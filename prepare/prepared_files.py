@@ -20,7 +20,6 @@ from prepare import own_weight
 from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
-from prepare.environment.support_planes import CLEAR
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.preparation_report import report_names, report_texts
 from prepare.progress import Progress, progress_on
@@ -251,9 +250,6 @@ def environment_summary(asset: Asset) -> list[str]:
     lines.append(
         f"bodies drop on the {p['drop_on']}, where a disc of {found.clear_radius:.2f} m is free; grids: {grids}"
     )
-    lines.append(f"view: {p['clear_view']:.0%} of the picture at the start is clear")
-    if p["clear_view"] < CLEAR:
-        lines[-1] += "; poor: a capture with its photographs knows better where to stand (vrgs.py capture)"
     return [*lines, f"{p['seconds']:.1f} s"]
 
 

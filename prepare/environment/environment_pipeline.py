@@ -21,11 +21,10 @@ from core.planes import LEVEL_COS
 from prepare.cleaning import MIN_GAUSSIANS, cut_out, largest_component
 from prepare.environment.support_planes import (
     SupportPlane,
-    clearest,
     drop_point,
     floor_under,
     relative_to_floor,
-    standing_eyes,
+    standing_eye,
     support_planes,
 )
 from prepare.environment.surfels import (
@@ -42,7 +41,7 @@ from prepare.environment.surfels import (
 from prepare.environment.winding_number import COARSENING, WindingNumber, signed_distance, winding_number
 from prepare.progress import Progress, no_progress
 
-ENVIRONMENT_VERSION = 6
+ENVIRONMENT_VERSION = 7
 ENVIRONMENT_STEPS = ("clean", "upright", "surface", "planes", "distance")
 MAX_COARSE_CELLS = 16_000_000  # of the coarse grid: 64 MB on the device, and some 2 GB while it is made
 USUAL_CELLS = 2_500_000  # of the coarse grid unless `cell` says otherwise
@@ -144,28 +143,21 @@ def prepare_environment(
     progress("upright", 0.0)
     scene = stand_upright(gaussians, main, options)
     progress("surface", 0.0)
-    surface = orient_surface(scene, options.cell)
+    surface = orient_surface(scene.gaussians, scene.low, scene.high, options.cell)
     progress("planes", 0.0)
     points = surface.surfels.points
-    planes = support_planes(*level_surface(scene, surface))
+    planes = support_planes(*level_surface(surface, scene.low, scene.high))
     on, drop, clear = drop_point(planes, points)
     if on.kind == "table":
         planes = relative_to_floor(planes, floor_under(planes, on))
-    eyes = standing_eyes(planes[0], drop, on, points, surface.voxels)
-    eye, clear_share = clearest(scene.gaussians, eyes, drop)
+    eye = standing_eye(planes[0], drop, on, points, surface.voxels)
     progress("distance", 0.0)
     coarse, fine = distance_grids(surface, planes, fine_boxes(surface, planes, on, drop), progress)
 
-    ground = planes[0].height
+    ground, unturned = planes[0].height, np.eye(3)
     to = -np.array([drop[0], ground, drop[2]])
-    environment = Environment(
-        0.0,
-        tuple(map(float, drop + to)),
-        tuple(map(float, eye + to)),
-        clear,
-        tuple(plane_row(p, to) for p in planes),
-        tuple(DistanceGrid(f.values, f.origin + to, f.spacing) for f in fine),
-    )
+    rows = tuple(map(plane_row, planes))
+    environment = Environment(ground, tuple(drop), tuple(eye), clear, rows, tuple(fine)).transformed(unturned, to)
     lean = np.degrees(np.arccos(np.clip(scene.rotation[1] @ AXES[scene.up], -1, 1)))
     provenance = {
         "made_by": f"vrgs prepare --static {ENVIRONMENT_VERSION}",
@@ -177,16 +169,15 @@ def prepare_environment(
         "size": scene.size,
         "metres_per_unit": scene.factor,
         "drop_on": on.kind,
-        "clear_view": round(clear_share, 2),
         "cells": [int(coarse.values.size), *(int(f.values.size) for f in fine)],
         "spacings": [coarse.spacing, *(f.spacing for f in fine)],
         "surfels": len(points),
         "seconds": round(time.perf_counter() - begin, 2),
     }
     progress("distance", 1.0)
-    grid = DistanceGrid(coarse.values.astype(np.float16), coarse.origin + to, coarse.spacing)
-    moved = {k: p.transformed(np.eye(3), to) for k, p in scene.cut.items()}
-    g = scene.gaussians.transformed(np.eye(3), to)
+    grid = replace(coarse, values=coarse.values.astype(np.float16)).transformed(unturned, to)
+    moved = {k: p.transformed(unturned, to) for k, p in scene.cut.items()}
+    g = scene.gaussians.transformed(unturned, to)
     return Asset(g, sdf=grid, provenance=provenance, environment=environment), moved
 
 
@@ -224,12 +215,14 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     return Upright(rest, cut, low, high, up, chances, rotation, size, factor)
 
 
-def orient_surface(scene: Upright, cell: float | None, cameras: np.ndarray | None = None) -> Surface:
-    """Surfels of the scene, turned towards the open space that viewers over the floor see.
+def orient_surface(
+    g: Gaussians, low: np.ndarray, high: np.ndarray, cell: float | None, cameras: np.ndarray | None = None
+) -> Surface:
+    """Surfels of a scene between corners (3,) [m], turned towards the open space that viewers over the floor see.
 
+    cell     spacing [m] of the coarse grid; None: by size
     cameras  points (V, 3) [m] where photographs were taken, which are the viewers then; None: chosen over the floor
     """
-    low, high, g = scene.low, scene.high, scene.gaussians
     h = cell or max(float(np.cbrt((high - low).prod() / USUAL_CELLS)), 2 * MIN_CELL)
     origin, shape = grid_around(low, high, h)
     solid = g.select((g.opacities > SURFACE_OPACITY) & ~haze(g, h))
@@ -243,9 +236,9 @@ def orient_surface(scene: Upright, cell: float | None, cameras: np.ndarray | Non
     return Surface(solid, oriented(found, viewers, voxels, voxels), voxels, space, viewers, origin, h, shape)
 
 
-def level_surface(scene: Upright, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+def level_surface(surface: Surface, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points and normals of level surfels, in voxels that tell the top of a board from its underside."""
-    low, high, h = scene.low, scene.high, surface.spacing
+    h = surface.spacing
     coarsening = max(1.0, float((high - low).prod() / (BOARD_CELL**3 * 0.7 * MAX_COARSE_CELLS)) ** (1 / 3))
     step = min(h, BOARD_CELL * coarsening)
     origin, shape = grid_around(low, high, step)
@@ -362,8 +355,7 @@ def depth_in_box(grid: DistanceGrid, low: np.ndarray, high: np.ndarray) -> np.nd
     return np.min(np.broadcast_arrays(*(np.minimum(n - low[k], high[k] - n) for k, n in enumerate(nodes))), axis=0)
 
 
-def plane_row(plane: SupportPlane, to: np.ndarray) -> tuple:
-    """A plane as the file holds it, displaced by `to` (3,) [m]."""
+def plane_row(plane: SupportPlane) -> tuple:
+    """A plane as the file holds it."""
     (x0, z0), (x1, z1) = plane.low, plane.high
-    places = (plane.height + to[1], x0 + to[0], z0 + to[2], x1 + to[0], z1 + to[2])
-    return (plane.kind, *map(float, places))
+    return (plane.kind, *map(float, (plane.height, x0, z0, x1, z1)))

@@ -1,7 +1,4 @@
-"""Support planes of a static scene, floor, tables and shelves; where bodies drop, and where the player stands.
-
-Of places to stand the one with the clearest view is taken: floaters before the eye hide what is behind them, as fog.
-"""
+"""Support planes of a static scene, floor, tables and shelves; where bodies drop, and where the player stands."""
 
 from __future__ import annotations
 
@@ -10,11 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, distance_transform_edt, label
 
-from assets.gaussians import Gaussians
-from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.planes import LEVEL_COS
-from core.spherical_harmonics import C0
 from prepare.environment.surfels import VoxelGrid
 
 CELL = 0.04  # [m] of a plane's mask
@@ -154,7 +148,7 @@ MIN_CLEARANCE = 0.10  # [m] radius of a free disc on a table for that table to b
 AMPLE_CLEARANCE = 0.25  # [m]; of tables with as much, the largest is taken
 AMPLE_FLOOR = 0.5  # [m] of free floor; more is no better
 EYE_HEIGHT = 1.5  # [m] above the floor, slightly bent over
-EYES, EYES_APART = 8, 0.3  # places that are compared, and [m] between them
+PLACES_TRIED = 400  # to stand, best first
 ARM_LENGTH = 0.75  # [m] from the user to the drop
 
 
@@ -203,14 +197,11 @@ def drop_point(planes: list[SupportPlane], points: np.ndarray) -> tuple[SupportP
     return floor, np.array([x, floor.height, z]), max(float(radius[best]), CELL)
 
 
-def standing_eyes(
+def standing_eye(
     floor: SupportPlane, drop: np.ndarray, on: SupportPlane, points: np.ndarray, voxels: VoxelGrid
-) -> list[np.ndarray]:
-    """Places of the user's eye (3,) [m], the best first and well apart: over free floor, near the drop, with nothing in
-    between.
-
-    Where there is no such place, at arm's length from the drop, all around it.
-    """
+) -> np.ndarray:
+    """Place of the player's eye (3,) [m]: over free floor, near the drop, with nothing in between; where there is no
+    such place, at arm's length from the drop."""
     radius = clearance(floor, points, USER_SPACE)
     at = cell_centres(floor)
     away = np.linalg.norm(at - drop[[0, 2]], axis=2)
@@ -218,18 +209,13 @@ def standing_eyes(
     score = -np.abs(away - wanted) + 0.5 * np.minimum(radius, 0.4) - 10 * (away < 0.8 * wanted)
     score = np.where(floor.mask & (radius >= USER_RADIUS), score, -np.inf)
     height = max(EYE_HEIGHT + floor.height, drop[1] + 0.5)
-    found: list[np.ndarray] = []
-    for flat in np.argsort(-score, axis=None)[:400:4]:
-        if not np.isfinite(score.flat[flat]) or len(found) == EYES:
-            break
+    best = np.argsort(-score, axis=None)[:PLACES_TRIED]
+    for flat in best[np.isfinite(score.flat[best])]:
         x, z = at.reshape(-1, 2)[flat]
         eye = np.array([x, height, z])
-        apart = all(np.linalg.norm(eye - other) > EYES_APART for other in found)
-        if apart and unobstructed(voxels, eye, drop + [0, 0.12, 0]):
-            found.append(eye)
-    turns = np.arange(EYES) * 2 * np.pi / EYES
-    around = [np.array([drop[0] + wanted * np.sin(t), height, drop[2] + wanted * np.cos(t)]) for t in turns]
-    return found or around
+        if unobstructed(voxels, eye, drop + [0, 0.12, 0]):
+            return eye
+    return np.array([drop[0], height, drop[2] + wanted])
 
 
 def unobstructed(voxels: VoxelGrid, a: np.ndarray, b: np.ndarray) -> bool:
@@ -239,45 +225,3 @@ def unobstructed(voxels: VoxelGrid, a: np.ndarray, b: np.ndarray) -> bool:
     i = np.floor((p - voxels.origin) / voxels.spacing).astype(int)
     i = i[((i >= 0) & (i < voxels.occupied.shape)).all(1)]
     return not voxels.occupied[tuple(i.T)].any()
-
-
-VIEW_SIZE, FOV_Y = (96, 54), 0.9  # [px], [rad] of the pictures that are compared
-NEAR_SHARE = 0.4  # of the way to the target: what is nearer hides it
-SOLID_ALPHA = 0.8  # opacity of a pixel that shows something
-FOG_WIDTH = 0.1  # [rad] two standard deviations of a Gaussian that hides what is behind it without showing anything
-FOG_SHARE = 0.3  # of a pixel
-CLEAR = 0.7  # of a picture's pixels; below, a view is poor
-
-
-def clearest(gaussians: Gaussians, eyes: list[np.ndarray], target: np.ndarray) -> tuple[np.ndarray, float]:
-    """The eye (3,) [m] with the clearest view of a target, the first of equal ones, and how clear that is.
-
-    Clear is the part of the picture that shows something solid, and nothing much nearer than the target. Taichi must be
-    running.
-    """
-    from render.renderer import Renderer
-    from render.splats import Splats
-
-    black = np.zeros((len(gaussians), 1, 3), np.float32)
-    splats = Splats(replace(gaussians, sh=black))
-    renderer = Renderer(splats, *VIEW_SIZE, outputs="float", sort="radial")
-    shares = []
-    for eye in eyes:
-        splats.write(0, gaussians.opacities, fog_colours(gaussians, eye, target), np.ones(len(gaussians), np.float32))
-        renderer.render([perspective(*VIEW_SIZE, FOV_Y, look_at(eye, target))])
-        fog, alpha, depth = (f.to_numpy()[0] for f in (renderer.rgb, renderer.alpha, renderer.depth))
-        clear = (alpha > SOLID_ALPHA) & (depth > NEAR_SHARE * np.linalg.norm(target - eye)) & (fog[..., 0] < FOG_SHARE)
-        shares.append(float(clear.mean()))
-    renderer.destroy()
-    splats.destroy()
-    best = int(np.argmax(np.round(shares, 1)))
-    return eyes[best], shares[best]
-
-
-def fog_colours(gaussians: Gaussians, eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Harmonics (N, 1, 3) that draw Gaussians which are fog for an eye in white: wide ones before the target; all
-    others in black."""
-    away = np.linalg.norm(gaussians.means - eye, axis=1)
-    width = 2.0 * np.exp(np.sort(gaussians.log_scales, axis=1)[:, 1])
-    fog = (away < np.linalg.norm(target - eye)) & (width > FOG_WIDTH * away)
-    return np.where(fog, 0.5 / C0, -0.5 / C0)[:, None, None].repeat(3, axis=2).astype(np.float32)

@@ -21,7 +21,6 @@ from prepare.environment.environment_pipeline import (
     BELOW_FLOOR,
     FINE_MARGIN,
     Surface,
-    Upright,
     box_around,
     distance_grids,
     level_surface,
@@ -129,12 +128,11 @@ def captured_environment(
     """
     low, high = extent
     progress("surface", 0.0)
-    scene = Upright(gaussians, {}, low, high, "+y", 1.0, np.eye(3), float((high - low).max()), 1.0)
     places = view.places
     chosen = np.linspace(0, len(places) - 1, min(VIEWERS, len(places))).round().astype(int)
-    surface = orient_surface(scene, cell, places[chosen])
+    surface = orient_surface(gaussians, low, high, cell, places[chosen])
     progress("planes", 0.0)
-    floor, planes = seen_planes(scene, surface, view)
+    floor, planes = seen_planes(level_surface(surface, low, high), view)
     drop, clear, on = free_place(([floor] if view.floor_seen else []) + planes, surface, view)
     progress("distance", 0.0)
     known = [floor, *planes] if view.floor_seen else planes
@@ -145,7 +143,7 @@ def captured_environment(
         tuple(map(float, drop)),
         tuple(map(float, places[k])),
         clear,
-        tuple(plane_row(p, np.zeros(3)) for p in (floor, *planes)),
+        tuple(plane_row(p) for p in (floor, *planes)),
         tuple(fine),
     )
     provenance = {
@@ -161,9 +159,9 @@ def captured_environment(
     return Asset(gaussians, sdf=grid, provenance=provenance, environment=environment)
 
 
-def seen_planes(scene: Upright, surface: Surface, view: RoomView) -> tuple[SupportPlane, list[SupportPlane]]:
-    """The floor, seen or assumed under the cameras, and the tables and shelves over it that the cameras saw."""
-    points, normals = level_surface(scene, surface)
+def seen_planes(level: tuple[np.ndarray, np.ndarray], view: RoomView) -> tuple[SupportPlane, list[SupportPlane]]:
+    """The floor, seen or assumed under the cameras, and the tables and shelves over it, of level points and normals."""
+    points, normals = level
     places = view.places
     corner = places.min(0)[[0, 2]] - AROUND_CAMERAS
     cells = np.ceil((places.max(0)[[0, 2]] + AROUND_CAMERAS - corner) / CELL).astype(int)

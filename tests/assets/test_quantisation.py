@@ -192,14 +192,3 @@ def test_each_defect_is_named(tmp_path, defect):
     with pytest.raises(BadInput) as error:
         Asset.load(path)
     assert defect in str(error.value) and str(path) in str(error.value) and "\n" not in str(error.value)
-
-
-def test_nothing_is_left_of_what_cannot_be_written(tmp_path, monkeypatch):
-    def fails(*args, **options):
-        raise OSError("disk full")
-
-    asset = embedded()
-    monkeypatch.setattr("assets.asset.write_quantised_embedding", fails)
-    with pytest.raises((BadInput, OSError)):
-        asset.save(tmp_path / "a.h5", quantised=True)
-    assert list(tmp_path.iterdir()) == []

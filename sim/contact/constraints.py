@@ -172,17 +172,16 @@ class ContactConstraints:
 
     @ti.func
     def solve(self, r, j, integrator: ti.template()):
-        """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (sim/contact/response.py)."""
+        """Pass j: one step of the impulse lambda of row r, within lambda_n >= 0, |lambda_t| <= mu lambda_n.
+
+            lambda_n += (least - n . y) / w_n,   lambda_t -= y_t / w_t,   w = sum_e |c_e| w_e B_e along n and along y_t,
+
+        where fingers are soft (`holding_impulse` and the cone: sim/contact/response.py).
+        """
         if self.active[r]:
-            inv_mass = 0.0
-            if ti.static(self.unrolled):
-                for e in ti.static(range(MAX_VERTICES)):
-                    inv_mass += self._vertex_inv_mass(r, e, integrator)
-            else:
-                for e in range(self.vertex_count[r]):
-                    inv_mass += self._vertex_inv_mass(r, e, integrator)
+            inv_mass = self._vertices_inv_mass(r, integrator)
             n, old, y, dt = self.normal[r], self.impulse[r], self.relative_motion(r, j, integrator), self.state.dt[None]
-            inv_mass_t = inv_mass
+            inv_mass_t = inv_mass  # of vertices it is the same in all directions; of rigid bodies it is not
             if ti.static(self.coupled):
                 y_t = y - n.dot(y) * n
                 along = y_t / ti.max(y_t.norm(), 1e-20)
@@ -203,7 +202,19 @@ class ContactConstraints:
                 self.add_impulse(r, new - old, j)
                 if ti.static(self.coupled):  # noqa: SIM102
                     if self.body_count[r] > 0 and (new - old).norm_sqr() > SETTLED**2 * new.norm_sqr():
-                        self.changed[j] = 1  # all writers write the same
+                        self.changed[j] = 1  # soft bodies do not ask for a pass; all writers write the same
+
+    @ti.func
+    def _vertices_inv_mass(self, r, integrator: ti.template()):
+        """sum_e |c_e| w_e B_e [1/kg] over the vertices of row r."""
+        inv_mass = 0.0
+        if ti.static(self.unrolled):
+            for e in ti.static(range(MAX_VERTICES)):
+                inv_mass += self._vertex_inv_mass(r, e, integrator)
+        else:
+            for e in range(self.vertex_count[r]):
+                inv_mass += self._vertex_inv_mass(r, e, integrator)
+        return inv_mass
 
     @ti.func
     def apply(self, i):

@@ -198,12 +198,7 @@ class BlendGradients:
                         behind[q] -= weight * value
                         d_alpha = before * value - behind[q] / (1.0 - alpha)
                         p = ti.select(visible and exact < ALPHA_MAX, LN2 * alpha * d_alpha, 0.0)
-                        sums[0] += p
-                        sums[1] += p * dx
-                        sums[2] += p * dy
-                        sums[3] += p * dx * dx
-                        sums[4] += p * dx * dy
-                        sums[5] += p * dy * dy
+                        add_moments(sums, p, dx, dy)
                         sums[6] += weight * depth[q]
                     sums[7] += weight * red[q]
                     sums[8] += weight * green[q]
@@ -281,12 +276,7 @@ class BlendGradients:
                             d_alpha = before * value - behind[p] / (1.0 - alpha)
                             q = ti.select(visible & (exact < ALPHA_MAX), LN2 * alpha * d_alpha, 0.0)
                             touched |= ti.cast(weight > 0.0, ti.i32)
-                            sums[0] += q
-                            sums[1] += q * dx
-                            sums[2] += q * dy
-                            sums[3] += q * dx * dx
-                            sums[4] += q * dx * dy
-                            sums[5] += q * dy * dy
+                            add_moments(sums, q, dx, dy)
                             sums[7] += weight * red[p]
                             sums[8] += weight * green[p]
                             sums[9] += weight * blue[p]
@@ -372,6 +362,17 @@ class BlendGradients:
     def words(self, v, g, mean2d, conic):
         """Numbers of a splat in shared memory."""
         return splat_words(mean2d, conic, splat_color(self, v, g))
+
+
+@ti.func
+def add_moments(sums: ti.template(), p: ti.f32, dx: ti.f32, dy: ti.f32):
+    """Add a pixel's derivative p with respect to the exponent, by its offset [px], to the first six of the SUMS."""
+    sums[0] += p
+    sums[1] += p * dx
+    sums[2] += p * dy
+    sums[3] += p * dx * dx
+    sums[4] += p * dx * dy
+    sums[5] += p * dy * dy
 
 
 @ti.func

@@ -90,7 +90,7 @@ class PerPixelSort:
                 stop = begin
             visited = 0
             for i in range(begin, stop):
-                g, touches, missing = 0, True, 0.0
+                g, touches, missing = 0, True, 0.0  # an empty splat, behind all others
                 base, tilt, A, dx0, center, slope = -2 * CUTOFF_BITS, 0.0, 0.0, 0.0, 0.0, 0.0
                 if i < end:
                     g, missing = value_of(self.bins.members[i]), EMPTY_INV_DEPTH
@@ -98,9 +98,11 @@ class PerPixelSort:
                     box = self.projection.box[v, g]
                     dx0, dy = x0 + 0.5 - mean2d.x, y + 0.5 - mean2d.y
                     touches = ti.abs(dy) <= box[1]
+                    # along the row, log2 alpha = base - dx (A dx + tilt) and 1/z = center + slope dx
                     A, tilt, base = conic[0], 2 * conic[1] * dy, mean2d.z - conic[2] * dy * dy
                     center, slope = 1.0 / mean2d.w + self.projection.color[v, g][3] * dy, box[3]
                 if touches:
+                    # the splat takes its place in each pixel's buffer; the nearest leaves it
                     for q in range(CPU_TILE):
                         dx = dx0 + q
                         power = base - dx * (A * dx + tilt)
@@ -126,7 +128,7 @@ class PerPixelSort:
                         )
                         alphas[self.buffer_size - 1][q] = ti.select(stays, alpha, alphas[self.buffer_size - 1][q])
                         indices[self.buffer_size - 1][q] = ti.select(stays, g, indices[self.buffer_size - 1][q])
-                        before = T[q]
+                        before = T[q]  # blend what has left
                         after = before * (1.0 - front_alpha)
                         visible = after > MIN_TRANSMITTANCE
                         weight[q] = ti.select(visible, front_alpha * before, 0.0)

@@ -30,11 +30,8 @@ class ProjectionGradients:
         self.blend, self.projection, self.of_camera = blend, blend.projection, of_camera
         self.splats = splats = self.projection.splats
         self.fields = f = FieldGroup()
-        self.d_mean, self.d_cov, self.d_opacity = (
-            f.vector(splats.capacity),
-            f.vector(splats.capacity, n=6),
-            f.scalar(splats.capacity),
-        )
+        self.d_mean, self.d_cov = f.vector(splats.capacity), f.vector(splats.capacity, n=6)
+        self.d_opacity = f.scalar(splats.capacity)
         self.d_sh = f.vector(splats.capacity, splats.coefficients)
         self.d_camera = f.vector(3, n=4)
         f.build()

@@ -96,8 +96,9 @@ class ShadowMap:
         if self.end != splats.count:
             raise ValueError(f"the dynamic Gaussians {dynamic} must be the last of {splats.count}")
         self.map = DepthMap(resolution, segments or SEGMENTS[device])
-        options = {"sink": self.map, "color": False, "segments": self.map.segments}
-        self.rasterizer = Rasterizer(splats, resolution, resolution, views=1, **options)
+        self.rasterizer = Rasterizer(
+            splats, resolution, resolution, views=1, sink=self.map, color=False, segments=self.map.segments
+        )
         self.fields = f = FieldGroup()
         self.camera = f.vector(2, 4, n=4)  # of each layer, as Projection.camera
         self.low, self.high = f.vector(), f.vector()  # box of the dynamic Gaussians [m]
@@ -160,8 +161,8 @@ class ShadowMap:
     def keep_captured_shadows(self, spans: Sequence[tuple[int, int]]) -> None:
         """Take the shadows that now fall on dynamic Gaussians, [begin, end) each, for those in their colours.
 
-        To be called once, before the first cast. All dynamic Gaussians cast them: a body of the user's that replaces a
-        captured one stands where that stood.
+        To be called once, before the first cast. All dynamic Gaussians cast them: a body that replaces a captured one
+        stands where that stood.
         """
         softness = self.light.softness
         self._draw_static()
@@ -202,6 +203,13 @@ class ShadowMap:
 
         No texel is finer than the filter needs.
         """
+        self._find_box(softness, end)
+        for _ in range(1):
+            self._aim_at_box(vec3(eye_x, eye_y, eye_z), softness, width)
+
+    @ti.func
+    def _find_box(self, softness: ti.f32, end: ti.i32):
+        """Box of the dynamic Gaussians, each as large as two sigmas and the filter; outermost level of a kernel."""
         self.low[None] = vec3(1e6)
         self.high[None] = vec3(-1e6)
         for chunk in range(self.box_chunks):  # each reduces its own box first: atomics on one box would serialise
@@ -221,34 +229,36 @@ class ShadowMap:
                         ti.atomic_min(self.low[None][k], low[k])
                     if high[k] > self.high[None][k]:
                         ti.atomic_max(self.high[None][k], high[k])
-        for _ in range(1):
-            eye = vec3(eye_x, eye_y, eye_z)
-            low, high = self.low[None], self.high[None]
-            middle = 0.5 * (low + high) - eye
-            forward = middle.normalized(1e-9)
-            right = forward.cross(vec3(0.0, 1.0, 0.0))
-            if right.norm() < 1e-3:
-                right = forward.cross(vec3(0.0, 0.0, 1.0))
-            right = right.normalized()
-            down = forward.cross(right)
-            tangent = softness * self.resolution / (4 * MAX_FILTER_RADIUS * ti.max(middle.norm(), NEAR_PLANE))
-            for corner in range(8):
-                p = low - eye
-                for k in ti.static(range(3)):
-                    if (corner >> k) & 1 == 1:
-                        p[k] = high[k] - eye[k]
-                z = forward.dot(p)
-                if z > NEAR_PLANE:
-                    tangent = ti.max(tangent, ti.max(ti.abs(right.dot(p)), ti.abs(down.dot(p))) / z)
-                else:
-                    tangent = MAX_TANGENT
-            self.rasterizer.projection.near[0] = NEAR_PLANE
-            t = -(ti.Matrix.rows([right, down, forward]) @ eye)
-            half, focal = 0.5 * self.resolution, 0.5 * self.resolution / clamp(width * tangent, 1e-3, MAX_TANGENT)
-            self._set_camera_row(DYNAMIC, 0, vec4(right, t[0]))
-            self._set_camera_row(DYNAMIC, 1, vec4(down, t[1]))
-            self._set_camera_row(DYNAMIC, 2, vec4(forward, t[2]))
-            self._set_camera_row(DYNAMIC, 3, vec4(focal, focal, half, half))
+
+    @ti.func
+    def _aim_at_box(self, eye: vec3, softness: ti.f32, width: ti.f32):
+        """Set the camera of the dynamic layer: at the middle of the box, as wide as its corners are apart."""
+        low, high = self.low[None], self.high[None]
+        middle = 0.5 * (low + high) - eye
+        forward = middle.normalized(1e-9)
+        right = forward.cross(vec3(0.0, 1.0, 0.0))
+        if right.norm() < 1e-3:
+            right = forward.cross(vec3(0.0, 0.0, 1.0))
+        right = right.normalized()
+        down = forward.cross(right)
+        tangent = softness * self.resolution / (4 * MAX_FILTER_RADIUS * ti.max(middle.norm(), NEAR_PLANE))
+        for corner in range(8):
+            p = low - eye
+            for k in ti.static(range(3)):
+                if (corner >> k) & 1 == 1:
+                    p[k] = high[k] - eye[k]
+            z = forward.dot(p)
+            if z > NEAR_PLANE:
+                tangent = ti.max(tangent, ti.max(ti.abs(right.dot(p)), ti.abs(down.dot(p))) / z)
+            else:  # the eye is among them
+                tangent = MAX_TANGENT
+        self.rasterizer.projection.near[0] = NEAR_PLANE
+        t = -(ti.Matrix.rows([right, down, forward]) @ eye)
+        half, focal = 0.5 * self.resolution, 0.5 * self.resolution / clamp(width * tangent, 1e-3, MAX_TANGENT)
+        self._set_camera_row(DYNAMIC, 0, vec4(right, t[0]))
+        self._set_camera_row(DYNAMIC, 1, vec4(down, t[1]))
+        self._set_camera_row(DYNAMIC, 2, vec4(forward, t[2]))
+        self._set_camera_row(DYNAMIC, 3, vec4(focal, focal, half, half))
 
     @ti.func
     def _set_camera_row(self, layer: ti.template(), k: ti.template(), row: vec4):

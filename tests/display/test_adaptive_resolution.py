@@ -40,11 +40,6 @@ def test_a_slow_machine_draws_coarser_while_things_move_and_all_once_they_are_st
     assert set(again[1:]) == {scales[-1]}  # it is remembered
 
 
-def test_a_fast_machine_draws_everything():
-    _, scales = run(WindowResolution(), 0.0, 2.0, cost=lambda scale: 0.8 * WindowResolution.FRAME_TIME, moving=True)
-    assert set(scales) == {1.0}
-
-
 def test_it_gets_finer_again_when_there_is_time():
     resolution = WindowResolution()
     now, scales = run(resolution, 0.0, 3.0, cost=lambda scale: 0.2 * scale**2, moving=True)
@@ -106,12 +101,6 @@ def test_a_hitch_changes_nothing_but_a_burden_does_and_its_end_is_seen():
     assert scales[-1] == 1.0 and np.all(np.diff(scales[600:]) >= 0.0)
     assert np.diff(scales).max() <= R.MAX_GROWTH and resolution.size == FULL
     assert np.flatnonzero(scales[600:] == 1.0)[0] < 10 * (R.GROW_AFTER + R.SKIPPED_FRAMES)
-
-
-def test_where_pixels_are_not_the_burden_it_stops_at_the_least():
-    scales, resolution = worn(lambda frame, area: 3.0, 500)
-    assert scales[-1] == R.MIN_SCALE and resolution.size == (896, 960)
-    assert np.all(np.diff(scales) <= 0.0)
 
 
 def test_what_is_slow_for_other_reasons_does_not_cost_pixels():

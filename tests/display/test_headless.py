@@ -87,19 +87,6 @@ def test_the_video_plays_and_shows_the_pictures(ti_cpu, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["ball.mp4"]
 
 
-@pytest.mark.skipif(shutil.which("ffprobe") is None, reason="needs ffprobe")
-def test_another_program_can_read_the_video(ti_cpu, tmp_path):
-    path = tmp_path / "ball.mp4"
-    play(20, record=path, every=2)
-    entries = "stream=codec_name,width,height,nb_read_frames,avg_frame_rate"
-    command = ["ffprobe", "-v", "error", "-count_frames", "-show_entries", entries, "-of", "csv=p=0", str(path)]
-    out = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert out.stderr == ""
-    codec, width, height, rate, count = out.stdout.strip().split(",")
-    assert codec in ("h264", "mpeg4")
-    assert (int(width), int(height), rate, int(count)) == (WIDTH, HEIGHT, "30/1", 10)
-
-
 def test_odd_sizes_gain_a_row_and_a_column(ti_cpu, tmp_path):
     path = tmp_path / "odd.mp4"
     _, _, _, pictures = play(3, record=path, width=161, height=91)
@@ -141,11 +128,6 @@ def test_an_older_video_survives_a_run_that_fails(ti_cpu, tmp_path):
     with Headless(fake_scene(), width=WIDTH, height=HEIGHT, frames=5, record=path) as display:
         next(display.frames(FakeWorld(fake_scene(), width=WIDTH, height=HEIGHT)))
     assert path.read_bytes() == b"precious" and len(list(tmp_path.iterdir())) == 1
-
-
-def test_a_run_that_never_begins_leaves_no_file(tmp_path):
-    Headless(fake_scene(), width=WIDTH, height=HEIGHT, frames=5, record=tmp_path / "a.mp4", snapshot=tmp_path / "a.png")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

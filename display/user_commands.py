@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, dataclass_transform
 
 from core.errors import BadInput
 from core.material import Material
@@ -22,8 +22,9 @@ BodyIndex = Annotated[int, Range(0, 1_000_000)]
 FilePath = Annotated[str, Size(4096)]
 
 
+@dataclass_transform(frozen_default=True)
 class Command:
-    """Base of all commands.
+    """Base of all commands, each of which becomes a frozen dataclass.
 
     Those of a subclass are carried out as it says, the others by the world, or the viewer of files. Keys are bound to
     commands in display/window/key_bindings.py, rows of the panel in display/panel.py.
@@ -38,43 +39,37 @@ class Command:
 
     def __init_subclass__(cls, key: str = ""):
         cls.key = key
-        KINDS.append(cls)
+        KINDS.append(dataclass(frozen=True)(cls))
 
 
-@dataclass(frozen=True)
 class PlayDemo(Command, key="demo"):
     """Let the scene's scripted hand play from the start, or stop it."""
 
     on: bool
 
 
-@dataclass(frozen=True)
 class Reset(Command, key="reset"):
     """Put the scene's own bodies back to their start and restart the game."""
 
 
-@dataclass(frozen=True)
 class LoadState(Command, key="load"):
     """Continue from a saved state; "": from the last one of this scene."""
 
     path: FilePath = ""
 
 
-@dataclass(frozen=True)
 class SetLight(Command, key="light"):
     """Replace the light."""
 
     light: Light
 
 
-@dataclass(frozen=True)
 class SetInteraction(Command, key="interaction"):
     """Choose what a grip does: deform and throw bodies, or move them rigidly while time stands still."""
 
     mode: Literal["physics", "transform"]
 
 
-@dataclass(frozen=True)
 class SetGravity(Command, key="gravity"):
     """Let bodies fall with another acceleration [m/s^2]."""
 
@@ -82,7 +77,6 @@ class SetGravity(Command, key="gravity"):
     continued: bool = False
 
 
-@dataclass(frozen=True)
 class SetTimeScale(Command, key="time_scale"):
     """Let time pass more slowly: seconds of the world in a second of real time, MIN_TIME_SCALE to 1."""
 
@@ -94,28 +88,24 @@ class EditCommand(Command):
     """A command about bodies or the room, which the editor carries out (display/edit/editor.py)."""
 
 
-@dataclass(frozen=True)
 class Select(EditCommand, key="select"):
     """Select a body, or none."""
 
     body: BodyIndex | None
 
 
-@dataclass(frozen=True)
 class Remove(EditCommand, key="remove"):
     """Remove a body."""
 
     body: BodyIndex | None = None
 
 
-@dataclass(frozen=True)
 class Duplicate(EditCommand, key="duplicate"):
     """Put a copy of a body above it, or beside it if it is animated."""
 
     body: BodyIndex | None = None
 
 
-@dataclass(frozen=True)
 class Rescale(EditCommand, key="rescale"):
     """Scale a body by a factor."""
 
@@ -123,7 +113,6 @@ class Rescale(EditCommand, key="rescale"):
     factor: float
 
 
-@dataclass(frozen=True)
 class Rotate(EditCommand, key="rotate"):
     """Rotate a body about its centre by a quaternion (wxyz)."""
 
@@ -131,7 +120,6 @@ class Rotate(EditCommand, key="rotate"):
     rotation: tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
 class Place(EditCommand, key="place"):
     """Move a body by an offset [m], and turn it by a quaternion (wxyz) about its centre; it comes to rest there."""
 
@@ -141,7 +129,6 @@ class Place(EditCommand, key="place"):
     continued: bool = False
 
 
-@dataclass(frozen=True)
 class TurnRoom(EditCommand, key="turn_room"):
     """Turn the user's room and all that is in it by a quaternion (wxyz) about the point that the scene looks at."""
 
@@ -149,7 +136,6 @@ class TurnRoom(EditCommand, key="turn_room"):
     continued: bool = False
 
 
-@dataclass(frozen=True)
 class SetMaterial(EditCommand, key="material"):
     """Make a body of another material, given or named (core/material.py)."""
 
@@ -158,29 +144,24 @@ class SetMaterial(EditCommand, key="material"):
     continued: bool = False
 
 
-@dataclass(frozen=True)
 class Undo(EditCommand, key="undo"):
     """Undo the last edit, grasp or change of light."""
 
 
-@dataclass(frozen=True)
 class Redo(EditCommand, key="redo"):
     """Redo the edit that was undone last."""
 
 
-@dataclass(frozen=True)
 class Pause(Command, key="pause"):
     """Stop the simulation, or let it run."""
 
     on: bool
 
 
-@dataclass(frozen=True)
 class SingleStep(Command, key="step"):
     """Simulate this one frame although the world is paused."""
 
 
-@dataclass(frozen=True)
 class Settle(Command, key="settle"):
     """After this frame, continue as from a saved state, without what a state does not hold: impulses of contacts."""
 
@@ -192,14 +173,12 @@ class PictureCommand(Command):
     """A command about the whole picture, `size` [px]; None: as it is drawn, which a window may shrink in motion."""
 
 
-@dataclass(frozen=True)
 class TakePicture(PictureCommand):
     """Write the picture as a PNG."""
 
     size: tuple[int, int] | None = None
 
 
-@dataclass(frozen=True)
 class Film(PictureCommand):
     """Begin to write a film of the picture, or finish it."""
 
@@ -207,14 +186,12 @@ class Film(PictureCommand):
     size: tuple[int, int] | None = None
 
 
-@dataclass(frozen=True)
 class WriteCamera(PictureCommand):
     """Write the camera as a CAM.json, for `vrgs.py render`."""
 
     size: tuple[int, int] | None = None
 
 
-@dataclass(frozen=True)
 class Export(Command):
     """Write the scene, or one body, for other programs (display/keep/scene_export.py).
 
@@ -228,7 +205,6 @@ class Export(Command):
     shadows: bool = True
 
 
-@dataclass(frozen=True)
 class SaveState(Command):
     """Settle, and write the state of the scene (display/keep/state_file.py).
 
@@ -239,14 +215,12 @@ class SaveState(Command):
     view: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
 
-@dataclass(frozen=True)
 class KeepFrame(Command):
     """Write a body's present up, front and size into its asset file (display/keep/kept_frame.py)."""
 
     body: BodyIndex | None = None
 
 
-@dataclass(frozen=True)
 class SetSound(Command):
     """Let impacts be heard, or not."""
 
@@ -257,7 +231,6 @@ class OpeningCommand(Command):
     """A command that the session carries out (commands/play_session.py), not the world."""
 
 
-@dataclass(frozen=True)
 class OpenScene(OpeningCommand):
     """Play another scene by its name, with its options and the user's files as bodies and room."""
 
@@ -267,21 +240,18 @@ class OpenScene(OpeningCommand):
     stage: str | None = None
 
 
-@dataclass(frozen=True)
 class SwapRoom(OpeningCommand):
     """Play the same scene in the room of a file; None: in its own."""
 
     path: str | None
 
 
-@dataclass(frozen=True)
 class AddBody(OpeningCommand):
     """Drop a body made from a file into the play."""
 
     path: str
 
 
-@dataclass(frozen=True)
 class Measure(OpeningCommand):
     """Set a size by the length [m] between two visible points (3,) [m]: of the body that has both, else of the user's
     room, or of the file that is viewed."""
@@ -291,7 +261,6 @@ class Measure(OpeningCommand):
     length: float
 
 
-@dataclass(frozen=True)
 class CancelOpening(OpeningCommand):
     """Cancel what is being opened."""
 
@@ -299,40 +268,34 @@ class CancelOpening(OpeningCommand):
 # Commands of a viewer of splat files (display/viewer.py), which has no bodies.
 
 
-@dataclass(frozen=True)
 class ViewFiles(Command):
     """Add these files to those that are viewed, and show the first of them."""
 
     paths: tuple[str, ...]
 
 
-@dataclass(frozen=True)
 class NextFile(Command):
     """Show the file that many steps on."""
 
     step: int = 1
 
 
-@dataclass(frozen=True)
 class TurnUp(Command):
     """Turn the file so that its axis "+x" to "-z" points up; "": the next axis."""
 
     up: str = ""
 
 
-@dataclass(frozen=True)
 class ShowAxes(Command):
     """Show the axes, or not."""
 
     on: bool
 
 
-@dataclass(frozen=True)
 class NextBackground(Command):
     """Show the next colour of background."""
 
 
-@dataclass(frozen=True)
 class Crop(Command):
     """Show only what lies between two corners [m]."""
 
@@ -340,7 +303,6 @@ class Crop(Command):
     high: tuple[float, float, float]
 
 
-@dataclass(frozen=True)
 class WriteSplats(Command):
     """Write the shown part of the file as a new splat file."""
 
@@ -381,26 +343,30 @@ def last_of(kind: type[C], commands: Iterable[Command]) -> C | None:
     return next((c for c in reversed(list(commands)) if isinstance(c, kind)), None)
 
 
-def commands_to_plain(commands: Iterable[Command]) -> dict[str, Any]:
-    """The recorded commands of a frame as plain data, by their keys: {"pause": true, "rescale": [3, 1.25]}.
+def commands_to_text(frame: int, commands: Iterable[Command]) -> str:
+    """The recorded commands of a frame as one line of JSON, by their keys: {"frame": 12, "rescale": [3, 1.25]}.
 
     A command without fields is true, one with one field is its value, one with more a list without the last ones that
     have their default values. A state that is saved is recorded as `Settle`, which is how it changes the world.
     """
-    plain = {}
+    plain = {"frame": frame}
     for command in (Settle() if isinstance(c, SaveState) else c for c in commands):
         if command.key:
             given = [getattr(command, f.name) for f in fields(command)]
             while len(given) > 1 and given[-1] == fields(command)[len(given) - 1].default:
                 given.pop()
             plain[command.key] = True if not given else to_plain(given[0] if len(fields(command)) == 1 else given)
-    return plain
+    return json.dumps(plain)
 
 
-def commands_from_plain(plain: Mapping[str, Any], where: str) -> list[Command]:
-    """The commands that `commands_to_plain` has made plain data; false is no command. Raises BadInput."""
-    kinds = {kind.key: kind for kind in KINDS if kind.key}
-    commands = []
+def commands_from_text(text: str, where: str) -> tuple[int, list[Command]]:
+    """The frame's index and its commands; a command without fields that is false is none. Raises BadInput."""
+    try:
+        plain = json.loads(text, object_hook=unnamed)
+        frame = from_plain(int, plain.pop("frame"), where)
+    except (ValueError, RecursionError, AttributeError, KeyError, TypeError) as e:
+        raise BadInput(f"{where}: a line of commands is not JSON with a frame") from e
+    kinds, commands = {kind.key: kind for kind in KINDS if kind.key}, []
     for key, value in plain.items():
         if key not in kinds:
             raise BadInput(f"{where}: the command {key[:60]!r} is unknown")
@@ -413,24 +379,9 @@ def commands_from_plain(plain: Mapping[str, Any], where: str) -> list[Command]:
         values = [value] if len(types) == 1 else value
         given = min(max(len(values), needed), len(types)) if isinstance(values, list) else needed
         commands.append(kind(*from_plain(tuple[tuple(types[:given])], values, at)))
-    return commands
+    return frame, commands
 
 
 def unnamed(plain: dict[str, Any]) -> Any:
     """A Light or Material of a recording of version 3 or before, {"Light": {...}}, as its fields: a hook for JSON."""
     return next(iter(plain.values())) if plain.keys() in ({"Light"}, {"Material"}) else plain
-
-
-def commands_to_text(frame: int, commands: Iterable[Command]) -> str:
-    """The recorded commands of a frame as one line of JSON: {"frame": 12, "pause": true}."""
-    return json.dumps({"frame": frame, **commands_to_plain(commands)})
-
-
-def commands_from_text(text: str, where: str) -> tuple[int, list[Command]]:
-    """The frame's index and its commands. Raises BadInput."""
-    try:
-        plain = json.loads(text, object_hook=unnamed)
-        frame = plain.pop("frame")
-    except (ValueError, RecursionError, AttributeError, KeyError, TypeError) as e:
-        raise BadInput(f"{where}: a line of commands is not JSON with a frame") from e
-    return from_plain(int, frame, where), commands_from_plain(plain, where)

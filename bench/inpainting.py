@@ -37,11 +37,8 @@ def inpainting_section(folder: Path | None, results: dict, report: Callable[[str
         results["inpainting"] = None
         note = "Not made: it needs --capture, a capture whose truth is known (python -m studio --capture DIR)."
         return Section(TITLE, text, note=note)
-    from prepare.inpaint.hole_views import kept_drawings
-
     steps = QUICK_STEPS if quick else STEPS
-    with kept_drawings():
-        rows = _measured(folder, steps, report, objects=1 if quick else None)
+    rows = _measured(folder, steps, report, objects=1 if quick else None)
     refused = "".join(f" Not closed: {row['refused']}." for row in rows.values() if "refused" in row)
     closed = {name: row for name, row in rows.items() if "refused" not in row}
     pictures = {f"{name}: photograph, taken out, inpainted, truth": row.pop("picture") for name, row in closed.items()}

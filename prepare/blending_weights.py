@@ -22,10 +22,21 @@ class BlendingWeights:
     dL/dC, the backward pass of blending sums the weights over the map.
     """
 
-    def __init__(self, gaussians: Gaussians, *, sort: str = "z", capacity: int = 0):
-        """`capacity`: for at least so many Gaussians."""
-        self._splats, self._sort = Splats(gaussians, capacity=capacity), sort
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera] = (),
+        *,
+        sort: str = "z",
+        antialias: bool = False,
+        capacity: int = 0,
+    ):
+        """`capacity`: for at least so many Gaussians; `cameras`: with room for their pictures, not one size after the
+        other."""
+        self._splats = Splats(gaussians, capacity=capacity)
+        self._options = {"outputs": "float", "sort": sort, "antialias": antialias}
         self._size = (0, 0)  # of the largest picture until now, for which there is room
+        self._first = max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1)
         self._renderer: Renderer | None = None
         self._backward: _BackwardPass | None = None
         self._camera: tuple | None = None  # of the last picture, if it shows the Gaussians where they are
@@ -67,8 +78,8 @@ class BlendingWeights:
         size, renderer = (camera.width, camera.height), self._renderer
         if size[0] > self._size[0] or size[1] > self._size[1]:
             self._release()
-            self._size = max(size[0], self._size[0]), max(size[1], self._size[1])
-            self._renderer = renderer = Renderer(self._splats, *self._size, outputs="float", sort=self._sort)
+            self._size = tuple(max(sides) for sides in zip(size, self._size, self._first, strict=True))
+            self._renderer = renderer = Renderer(self._splats, *self._size, **self._options)
         if (renderer.width, renderer.height) != size:
             renderer.rasterizer.resize(*size)
             renderer.width, renderer.height = size

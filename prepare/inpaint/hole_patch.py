@@ -12,7 +12,8 @@ from scipy.ndimage import binary_dilation
 from assets.gaussians import SH_COUNTS, Gaussians, concatenate
 from core.rotation import quaternions_from_matrices
 from core.spherical_harmonics import C0
-from prepare.inpaint.hole_views import SOLID, Drawing, HoleView
+from prepare.blending_weights import BlendingWeights
+from prepare.inpaint.hole_views import SOLID, HoleView
 from prepare.inpaint.support_surface import SurfaceTexture
 from prepare.progress import Progress
 from prepare.train.densification import logit
@@ -66,11 +67,8 @@ def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, 
         surface = texture.surface
         eye, slope = surface.local(c.position), rays @ surface.axes.T
         falling = (slope[..., 2] < -1e-9) & (eye[2] > 0)
-        height = np.zeros(x.shape)
-        for _ in range(3):  # towards where the ray meets the relief
-            depth = np.where(falling, (height - eye[2]) / np.minimum(slope[..., 2], -1e-9), np.inf)
-            places = eye[:2] + np.where(falling, depth, 0.0)[..., None] * slope[..., :2]
-            height = texture.sample(texture.relief, places)
+        depth = np.where(falling, -eye[2] / np.minimum(slope[..., 2], -1e-9), np.inf)
+        places = eye[:2] + np.where(falling, depth, 0.0)[..., None] * slope[..., :2]
         occluded = (view.alpha > SOLID) & ((view.depth - depth) * slope[..., 2] > 3 * texture.texel)
         own = (texture.sample(texture.hole.astype(np.uint8), places, linear=False) > 0) & falling & ~occluded
         own &= depth < nearest
@@ -139,10 +137,10 @@ def compare(
 ) -> list[Comparison]:
     """Each view of a hole before and after; `truths`: photographs without the object, one a camera, or empty."""
     cameras = [v.camera for v in views]
-    drawings = [Drawing(g, cameras, antialias=antialias, sort=sort) for g in (before, after)]
+    drawings = [BlendingWeights(g, cameras, antialias=antialias, sort=sort) for g in (before, after)]
     found = []
     for view in views:
-        pictures = [drawing(view.camera)[0].clip(0.0, 1.0) for drawing in drawings]
+        pictures = [drawing.picture(view.camera)[0].clip(0.0, 1.0) for drawing in drawings]
         photograph = truths[view.index] if truths else None
         truth = None if photograph is None else cut_out(photograph, view)
         found.append(Comparison(view, *pictures, truth, view.in_front(), target(view, textures)[1]))

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,15 +10,11 @@ from scipy.ndimage import binary_dilation
 
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
+from prepare.blending_weights import BlendingWeights
 from prepare.progress import Progress
-
-if TYPE_CHECKING:
-    from render.renderer import Renderer
-    from render.splats import Splats
 
 REACH = 2.2  # radius of the surroundings that are processed, in radii of the object
 SIDE = 400  # [px] longer side of a view at most
-SPARE = 1.25  # capacity of what draws several splats in turn, over the first one's count
 SIDE_MIN = 12  # [px] a view that shows less of the surroundings is not used
 WIDE = 1.4  # [rad] off the optical axis; points farther out are outside any picture
 SOLID = 0.5  # opacity from which a pixel shows a surface
@@ -37,7 +30,6 @@ AROUND_SIDE, AROUND_SIDE_FULL = 96, 320  # [px] of a trial, and of a view that i
 AROUND_MAX = 24  # views kept at most
 AROUND_DISTANCE = 4.0  # radii of the object
 FREE = 0.7  # share of an object's pixels that must be in front of the background
-_kept: list[tuple[tuple, Splats, Renderer]] | None = None  # of Drawings that were destroyed, by their options
 
 
 @dataclass(frozen=True)
@@ -96,13 +88,13 @@ def draw_views(
     within = 1.2 * REACH * ball.radius  # all that is processed, without its rim
     near = background.select(np.linalg.norm(background.means - ball.centre, axis=1) < within)
     things = [g for g in (background, removed, near) if len(g)]
-    drawings = [Drawing(g, [cut for _, cut in cuts], antialias=antialias, sort=sort) for g in things]
+    drawings = [BlendingWeights(g, [cut for _, cut in cuts], antialias=antialias, sort=sort) for g in things]
     found = []
     for done, (k, cut) in enumerate(cuts):
-        color, alpha, depth = drawings[0](cut)
-        _, object_alpha, object_depth = drawings[1](cut)
+        color, depth, alpha = drawings[0].picture(cut)
+        _, object_depth, object_alpha = drawings[1].picture(cut)
         if len(near):  # where it is what shows: a few per cent of a far background behind it are metres of depth
-            _, near_alpha, near_depth = drawings[2](cut)
+            _, near_depth, near_alpha = drawings[2].picture(cut)
             depth = np.where(near_alpha > SOLID, near_depth, depth)
         found.append(HoleView(k, cut, color, alpha, depth, object_alpha, object_depth))
         progress("views", (done + 1) / len(cuts))
@@ -115,7 +107,6 @@ def within_object(
     background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress, *, sort: str
 ) -> np.ndarray:
     """Mask (N,) of Gaussians around an object that appear almost only within its silhouettes: no camera saw them."""
-    from prepare.blending_weights import BlendingWeights
     from prepare.room_capture.contributions import reduced
 
     sums = BlendingWeights(background, sort=sort)
@@ -182,79 +173,6 @@ def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
     )
 
 
-@contextmanager
-def kept_drawings() -> Iterator[None]:
-    """While active, a Drawing draws with what an earlier one was made of, if its Gaussians fit.
-
-    Each renderer's kernels are compiled anew, which takes longer than the pictures of a small capture.
-    """
-    global _kept
-    _kept = []
-    try:
-        yield
-    finally:
-        for _, splats, renderer in _kept:
-            renderer.destroy()
-            splats.destroy()
-        _kept = None
-
-
-class Drawing:
-    """Draws Gaussians for cameras of several sizes."""
-
-    def __init__(self, gaussians: Gaussians, cameras: list[Camera], *, antialias: bool, sort: str):
-        self._options = (antialias, sort, gaussians.sh.shape[1])
-        size = max(c.width for c in cameras), max(c.height for c in cameras)
-        fitting = [k for k in _kept or [] if self._fits(*k, len(gaussians), size)]
-        if fitting:
-            kept = min(fitting, key=lambda k: k[1].capacity)
-            _kept.remove(kept)
-            _, self._splats, self.renderer = kept
-            self._splats.replace(gaussians)
-            self.renderer.forget()
-        else:
-            self._splats, self.renderer = self._new(gaussians, size)
-
-    def _fits(self, options: tuple, splats: Splats, renderer: Renderer, count: int, size: tuple[int, int]) -> bool:
-        _, height, width = renderer.rgb.shape
-        return options == self._options and splats.capacity >= count and width >= size[0] and height >= size[1]
-
-    def _new(self, gaussians: Gaussians, size: tuple[int, int]) -> tuple[Splats, Renderer]:
-        from render.renderer import Renderer
-        from render.splats import Splats
-
-        antialias, sort, coefficients = self._options
-        if _kept is None:
-            splats = Splats(gaussians)
-        else:
-            splats = Splats(gaussians, capacity=round(SPARE * len(gaussians)))
-            splats.sh_range = (0, splats.capacity if coefficients > 1 else 0)
-            size = (max(size[0], SIDE), max(size[1], SIDE))
-        return splats, Renderer(splats, *size, outputs="float", antialias=antialias, sort=sort)
-
-    def draw(self, camera: Camera) -> None:
-        """Draw into the first rows and columns of the renderer's fields."""
-        renderer, size = self.renderer, (camera.width, camera.height)
-        if size != (renderer.width, renderer.height):
-            renderer.rasterizer.resize(*size)
-            renderer.width, renderer.height = size
-        renderer.render([camera])
-
-    def __call__(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Colour (H, W, 3) premultiplied, opacity (H, W), and camera z [m] (H, W), float32."""
-        self.draw(camera)
-        fields = (self.renderer.rgb, self.renderer.alpha, self.renderer.depth)
-        return tuple(np.ascontiguousarray(f.to_numpy()[0, : camera.height, : camera.width]) for f in fields)
-
-    def destroy(self) -> None:
-        """Free the device memory, or keep it for the next (`kept_drawings`)."""
-        if _kept is not None:
-            _kept.append((self._options, self._splats, self.renderer))
-            return
-        self.renderer.destroy()
-        self._splats.destroy()
-
-
 def cameras_around(
     background: Gaussians, removed: Gaussians, ball: Surroundings, *, antialias: bool, sort: str
 ) -> list[Camera]:
@@ -267,10 +185,10 @@ def cameras_around(
     fov = 2 * np.arcsin(min(0.9, REACH / AROUND_DISTANCE))
     poses = [look_at(eye, ball.centre) for eye in eyes]
     trials = [perspective(AROUND_SIDE, AROUND_SIDE, fov, pose) for pose in poses]
-    drawings = [Drawing(g, trials, antialias=antialias, sort=sort) for g in (background, removed)]
+    drawings = [BlendingWeights(g, trials, antialias=antialias, sort=sort) for g in (background, removed)]
     free = []
     for trial in trials:
-        (_, alpha, depth), (_, object_alpha, object_depth) = (drawing(trial) for drawing in drawings)
+        (_, depth, alpha), (_, object_depth, object_alpha) = (drawing.picture(trial) for drawing in drawings)
         solid = object_alpha > SOLID
         clear = solid & ((alpha < SOLID) | (object_depth < depth))
         free.append(clear.sum() / max(1, solid.sum()))

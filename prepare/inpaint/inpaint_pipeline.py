@@ -240,8 +240,6 @@ def close_hole(
         return hole.background
     patch = concatenate([seed_patch(t, hole.background, hole.background.sh_degree) for t in textures])
     targets = []
-    for texture in textures:
-        _ = texture.relief  # once, before several threads ask for it
     wanted = in_threads(lambda view: target(view, textures), hole.views)
     for view, (color, pixels, counts) in zip(hole.views, wanted, strict=True):
         if pixels.sum() >= HOLE_PIXELS:

@@ -21,7 +21,8 @@ from scipy.spatial import cKDTree
 from assets.gaussians import Gaussians
 from core.camera import look_at, perspective
 from core.spherical_harmonics import C0
-from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, image_positions, nearest_pixels
+from prepare.blending_weights import BlendingWeights
+from prepare.inpaint.hole_views import HoleView, Surroundings, image_positions, nearest_pixels
 from prepare.inpaint.support_surface import SurfaceTexture, normals_of
 from prepare.progress import Progress
 
@@ -46,14 +47,14 @@ class ShadowMaps:
         eyes = ball.centre + FAR * radius * directions
         angle = 2.2 / FAR  # of the whole thing, with the width of its outermost Gaussians
         self._cameras = [perspective(MAP_SIDE, MAP_SIDE, angle, look_at(eye, ball.centre)) for eye in eyes]
-        drawing = Drawing(thing, self._cameras, antialias=antialias, sort=sort)
-        self._maps = [drawing(camera)[1:] for camera in self._cameras]
+        drawing = BlendingWeights(thing, self._cameras, antialias=antialias, sort=sort)
+        self._maps = [drawing.picture(camera)[1:] for camera in self._cameras]
         drawing.destroy()
 
     def passing(self, points: np.ndarray, bias: float) -> np.ndarray:
         """Light (N, J), 0..1, that reaches points (N, 3) past all that is farther than `bias` [m] in front of them."""
         found = np.ones((len(points), len(self._cameras)), np.float32)
-        for k, (camera, (alpha, depth)) in enumerate(zip(self._cameras, self._maps, strict=True)):
+        for k, (camera, (depth, alpha)) in enumerate(zip(self._cameras, self._maps, strict=True)):
             at, z = image_positions(camera, points)
             shades = nearest_pixels(depth, at, np.inf) < z - bias
             found[shades, k] -= nearest_pixels(cv2.GaussianBlur(alpha, (3, 3), 0), at, 0.0)[shades]
@@ -185,9 +186,9 @@ def textures_without_shadow(textures: list[SurfaceTexture], shadow: ObjectShadow
 
 def views_of(background: Gaussians, views: list[HoleView], progress: Progress, *, antialias: bool, sort: str):
     """The views in the colours of another background of the same shape."""
-    drawing, found = Drawing(background, [v.camera for v in views], antialias=antialias, sort=sort), []
+    drawing, found = BlendingWeights(background, [v.camera for v in views], antialias=antialias, sort=sort), []
     for k, view in enumerate(views):
-        found.append(replace(view, color=drawing(view.camera)[0]))
+        found.append(replace(view, color=drawing.picture(view.camera)[0]))
         progress("shadow", (k + 1) / len(views))
     drawing.destroy()
     return found

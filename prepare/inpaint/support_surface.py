@@ -5,9 +5,7 @@ A texture holds the part that cameras saw, and the hole that none saw.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -31,8 +29,6 @@ PARALLEL = 0.85  # cosine between a point's normal and its plane's
 NEIGHBOURS = 32  # points from which a normal is estimated
 PART_SHARE = 0.06, 0.5  # least and most of an object that may be a part of its support
 HALO = 2  # [px] around the object in which its colour leaks into the background
-RELIEF_POINTS, RELIEF_POINTS_MIN = 300, 20
-SMOOTHING = 0.1  # of the thin-plate spline, with the hole's size as the unit
 REACH = 1.7  # half the side of the texture, in radii of the object
 TEXELS = (96, 384)  # least and most along a side
 NEAR_SURFACE = 0.04  # radii: a pixel whose depth is this near shows the surface
@@ -55,7 +51,7 @@ SURE = 0.5  # share of the views past the object that must show no surface, wher
 
 @dataclass(frozen=True)
 class SupportSurface:
-    """A plane with a smooth relief. Its frame: origin [m] (3,), rows of `axes` (3, 3) along it and towards the object.
+    """A plane. Its frame: origin [m] (3,), rows of `axes` (3, 3) along it and towards the object.
 
     spread  standard deviation [m] of the points it was found from, by their median
     """
@@ -63,18 +59,10 @@ class SupportSurface:
     origin: np.ndarray
     axes: np.ndarray
     spread: float
-    relief: Callable | None = field(default=None, repr=False)
 
-    def heights(self, at: np.ndarray) -> np.ndarray:
-        """Height [m] over the plane at places (..., 2) [m] of it."""
-        if self.relief is None:
-            return np.zeros(at.shape[:-1])
-        return self.relief(at.reshape(-1, 2)).reshape(at.shape[:-1])
-
-    def points(self, at: np.ndarray, heights: np.ndarray | None = None) -> np.ndarray:
-        """Points [m] (..., 3) of the surface at places (..., 2)."""
-        heights = self.heights(at) if heights is None else heights
-        return self.origin + at @ self.axes[:2] + heights[..., None] * self.axes[2]
+    def points(self, at: np.ndarray) -> np.ndarray:
+        """Points [m] (..., 3) of the surface at places (..., 2) [m]."""
+        return self.origin + at @ self.axes[:2]
 
     def local(self, points: np.ndarray) -> np.ndarray:
         """Places and distances from the plane (..., 3) [m] of points."""
@@ -197,15 +185,6 @@ def _frame(normal: np.ndarray) -> np.ndarray:
     return np.stack([across, np.cross(normal, across), normal])
 
 
-def fit_relief(surface: SupportSurface, at: np.ndarray, heights: np.ndarray, unit: float) -> SupportSurface:
-    """The surface with a thin plate through heights (N,) [m] at places (N, 2); `unit` [m] of the fit's smoothing."""
-    chosen = np.unique(np.linspace(0, len(at) - 1, RELIEF_POINTS).round().astype(int))
-    if len(chosen) < RELIEF_POINTS_MIN or np.linalg.matrix_rank(at[chosen] - at[chosen].mean(axis=0)) < 2:
-        return surface
-    plate = RBFInterpolator(at[chosen] / unit, heights[chosen] / unit, kernel="thin_plate_spline", smoothing=SMOOTHING)
-    return replace(surface, relief=lambda places: unit * plate(places / unit))
-
-
 @dataclass(frozen=True)
 class SurfaceTexture:
     """Square texels of a support surface, (H, W).
@@ -239,13 +218,6 @@ class SurfaceTexture:
         found = cv2.remap(values, rows[..., 0], rows[..., 1], flag, borderMode=cv2.BORDER_CONSTANT)
         return found.reshape(-1, *values.shape[2:])[: len(at)].reshape(*places.shape[:-1], *values.shape[2:])
 
-    @cached_property
-    def relief(self) -> np.ndarray:
-        """Height [m] (H, W) of the surface over its plane, in and around the hole; 0 elsewhere."""
-        near, heights = binary_dilation(self.hole, iterations=RIM), np.zeros(self.hole.shape, np.float32)
-        heights[near] = self.surface.heights(self.places()[near])
-        return heights
-
     @property
     def area(self) -> float:
         """Area of the hole [m^2]."""
@@ -274,10 +246,9 @@ def texture_of(
     texture = SurfaceTexture(surface, corner, texel, color, nothing, nothing)
     places = texture.places()
     tolerance = max(NEAR_SURFACE * ball.radius, 3 * surface.spread)
-    seen = _seen(texture, surface.points(places), views, tolerance)
-    known, empty = seen.known, seen.empty
-    surface = fit_relief(surface, places[known], seen.height[known], ball.radius)
     points = surface.points(places)
+    seen = _seen(texture, points, views, tolerance)
+    known, empty = seen.known, seen.empty
     beyond = np.zeros_like(known)
     for other in others:
         beyond |= other.local(points)[..., 2] < 0.5 * texel
@@ -290,10 +261,8 @@ def texture_of(
     known &= ~hole
     around = binary_dilation(hole, iterations=RIM) & ~hole & ~beyond
     rim = float(known[around].mean()) if around.any() else 1.0
-    again = _seen(texture, points, views, tolerance)  # where the relief is
-    known, color = known & again.known, again.color
-    color = np.where(known[..., None], color, 0.0).clip(0.0, 1.0).astype(np.float32)
-    return replace(texture, surface=surface, color=color, known=known, hole=hole, rim=rim)
+    color = np.where(known[..., None], seen.color, 0.0).clip(0.0, 1.0).astype(np.float32)
+    return replace(texture, color=color, known=known, hole=hole, rim=rim)
 
 
 def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
@@ -323,13 +292,12 @@ def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class _Seen:
     """Texels (H, W) of what all views show: the surface is known, or ends; the object covered it, and nothing was drawn
-    where it should be then; the mean height [m] and the colour (H, W, 3) of what shows."""
+    where it should be then; the colour (H, W, 3) of what shows."""
 
     known: np.ndarray
     empty: np.ndarray
     covered: np.ndarray
     lacking: np.ndarray
-    height: np.ndarray
     color: np.ndarray
 
 
@@ -340,7 +308,7 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
     """
     shape = texture.hole.shape
     looking, shown, through, covered, lacking = (np.zeros(shape, np.int32) for _ in range(5))
-    heights, color, best = np.zeros(shape), np.zeros((*shape, 3), np.float32), np.zeros(shape)
+    color, best = np.zeros((*shape, 3), np.float32), np.zeros(shape)
     looks = in_threads(lambda view: _look(texture, points, view, tolerance), views)
     for look, view in zip(looks, views, strict=True):
         looking += look.inside
@@ -348,7 +316,6 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
         through += look.behind
         covered += look.covered
         lacking += look.lacks
-        heights += np.where(look.shows, look.height, 0.0)
         x, y = look.at[..., 0], look.at[..., 1]
         drawn = cv2.remap(view.color, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         better = look.merit > best
@@ -357,21 +324,19 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
     empty = binary_opening(~known & (through > EMPTY_SHARE * looking), iterations=SLIVER)
     past = binary_opening(~known & (through > EMPTY_SHARE * (looking - covered)), iterations=SLIVER)
     empty = binary_propagation(empty, mask=empty | past)  # beside a plinth most views show the object before the air
-    height = heights / np.maximum(shown, 1)
-    return _Seen(known, empty, covered > COVERED_SHARE * looking, lacking > SURE * covered, height, color)
+    return _Seen(known, empty, covered > COVERED_SHARE * looking, lacking > SURE * covered, color)
 
 
 @dataclass(frozen=True)
 class _Look:
     """Classes of the texels that a view looks at: the surface, something behind it, the object before it (and nothing
-    where the surface should be then); the height [m] of what it shows, how large it is seen, and the pixels' places."""
+    where the surface should be then); how large it is seen, and the pixels' places."""
 
     inside: np.ndarray
     shows: np.ndarray
     behind: np.ndarray
     covered: np.ndarray
     lacks: np.ndarray
-    height: np.ndarray
     merit: np.ndarray
     at: np.ndarray
 
@@ -394,7 +359,7 @@ def _look(texture: SurfaceTexture, points: np.ndarray, view: HoleView, tolerance
     covered = inside & before
     lacks = covered & (~solid | (height < -tolerance))
     merit = np.where(shows, cosine / np.maximum(z / view.camera.fx, 1e-12), 0.0)
-    return _Look(inside, shows, behind, covered, lacks, height.astype(np.float32), merit.astype(np.float32), at)
+    return _Look(inside, shows, behind, covered, lacks, merit.astype(np.float32), at)
 
 
 def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

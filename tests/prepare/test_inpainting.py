@@ -14,8 +14,9 @@ from assets.splat_files import read_gaussians, write_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.spherical_harmonics import C0
+from prepare.blending_weights import BlendingWeights
 from prepare.inpaint.hole_patch import compare, uncovered_psnr
-from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera, draw_views, kept_drawings
+from prepare.inpaint.hole_views import HoleView, Surroundings, cut_out_camera, draw_views
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
 from prepare.inpaint.picture_inpainting import paint_from_patches
 from prepare.inpaint.support_surface import (
@@ -61,36 +62,6 @@ def cameras():
     return [perspective(112, 84, 0.75, look_at(eye, (0, 0.08, 0))) for eye in eyes]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def same_kernels(ti_cpu):
-    """Kernels are compiled for a few renderers, which all tests share."""
-    with kept_drawings():
-        yield
-
-
-def test_a_drawing_draws_with_what_an_earlier_one_was_made_of():
-    view, options = cameras()[0], {"antialias": False, "sort": "radial"}
-    small = perspective(60, 40, 0.75, look_at((0.0, 0.5, 0.9), (0, 0.08, 0)))
-    fresh = Drawing(ball(), [small], **options)
-    expected = fresh(small)
-    first = Drawing(table(), [view], **options)
-    first(view)
-    renderer = first.renderer
-    assert renderer is not fresh.renderer
-    first.destroy()
-    second = Drawing(ball(), [small], **options)
-    assert second.renderer is renderer
-    for found, there in zip(second(small), expected, strict=True):
-        assert_array_equal(found, there)
-    second.destroy()
-    fresh.destroy()
-    large = perspective(500, 40, 0.75, look_at((0.0, 0.5, 0.9), (0, 0.08, 0)))
-    for g, camera in ((ball(), large), (concatenate([table()] * 3), view)):
-        other = Drawing(g, [camera], **options)
-        assert other.renderer is not renderer
-        other.destroy()
-
-
 def shadowed_table() -> Gaussians:
     """The table in the shadow of the ball, 0.7 of its form factor R^2 h / d^3."""
     whole = table()
@@ -123,8 +94,8 @@ def views(closed):
 
 
 def truths(hole) -> list[Photograph]:
-    drawing = Drawing(table(), cameras(), antialias=False, sort="radial")
-    pictures = [(drawing(c)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
+    drawing = BlendingWeights(table(), cameras(), sort="radial")
+    pictures = [(drawing.picture(c)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
     drawing.destroy()
     return [Photograph(p, np.ones(p.shape[:2], bool), c) for p, c in zip(pictures, cameras(), strict=True)]
 
@@ -260,7 +231,7 @@ def test_a_small_object_on_a_noisy_surface_has_one_hole():
 
 
 def test_known_texels_have_the_colour_of_the_surface():
-    """None is dark: not those at a picture's edge, nor those that only the plane shows, not its relief."""
+    """None is dark, not those at a picture's edge either."""
     sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
     cuts = [cut_out_camera(c, sphere) for c in cameras()]
     views = [noisy_view(k, c, noise=0.004) for k, c in enumerate(cuts)]

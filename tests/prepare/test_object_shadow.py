@@ -89,14 +89,14 @@ class PlateDrawing:
     def __init__(self, thing, cameras, **_):
         self._rng = np.random.default_rng(0)
 
-    def __call__(self, camera):
+    def picture(self, camera):
         y, x = np.mgrid[: camera.height, : camera.width] + 0.5
         rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
         rays = rays @ camera.world_to_camera[:3, :3]
         depth = -camera.position[2] / rays[..., 2]
         on = np.linalg.norm((camera.position + depth[..., None] * rays)[..., :2], axis=-1) < 1.0
         depth += 0.02 * self._rng.normal(size=depth.shape)
-        return None, on.astype(np.float32), np.where(on, depth, np.inf).astype(np.float32)
+        return None, np.where(on, depth, np.inf).astype(np.float32), on.astype(np.float32)
 
     def destroy(self):
         pass
@@ -105,7 +105,7 @@ class PlateDrawing:
 @pytest.fixture
 def plate(monkeypatch):
     """The shadow of a plate of radius 1 that floats 1 m over a floor."""
-    monkeypatch.setattr("prepare.inpaint.object_shadow.Drawing", PlateDrawing)
+    monkeypatch.setattr("prepare.inpaint.object_shadow.BlendingWeights", PlateDrawing)
     floor, seen = SupportSurface(np.array([0.0, 0.0, -1.0]), np.eye(3), 0.01), np.ones((40, 40), bool)
     texture = SurfaceTexture(floor, np.full(2, -1.7), 0.085, np.full((40, 40, 3), 0.5), seen, ~seen)
     turn = np.arange(100) * 0.02 * np.pi

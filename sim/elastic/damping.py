@@ -24,7 +24,9 @@ from sim.model import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State
 
-# Of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3); f (1), f r (3), f r_k^2 (3), f r_k r_l (3)
+# Where the sums over one body begin: m r, m v, m r x v, m r_k^2, m r_k r_l (3 numbers each) ...
+MASS_R, MOMENTUM, SPIN, SQUARES, PRODUCTS = 0, 3, 6, 9, 12
+FORCE, FORCE_R, FORCE_SQUARES, FORCE_PRODUCTS = 15, 16, 19, 22  # ... f (1), f r, f r_k^2, f r_k r_l (3 each)
 DAMPING_SUMS = 25
 # Lever arm of rolling resistance, in units of a. A ball that loses the fraction alpha of the energy that its contact
 # stores meets 3/16 alpha of the contact's radius (Greenwood, Minshall and Tabor 1961), 0.42 alpha a; rubbers have an
@@ -63,13 +65,21 @@ class Damping:
 
     @ti.kernel
     def run(self, t: ti.f32):
+        self._sum_blocks()
+        self._sum_bodies()
+        self._find_rigid_motion(t)
+        self._damp(t)
+
+    @ti.func
+    def _sum_blocks(self):
+        """Fill `sums`, about the first vertex of each body: sums about a point of the body hardly cancel."""
         s = self.state
         c = self.blocks
         ti.loop_config(serialize=s.serial)
         for w in range(c.size * c.lanes):
             j, lane = w // c.lanes, w % c.lanes
             span = c.span[j]
-            about = s.x[s.vertex_begin[span[2]]]  # sums about a point of the body hardly cancel
+            about = s.x[s.vertex_begin[span[2]]]
             p, q, L = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             square, mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             force, force_r = 0.0, ti.Vector([0.0, 0.0, 0.0])
@@ -91,32 +101,42 @@ class Damping:
                 square += m * r * r
                 mixed += m * products(r)
                 i += c.lanes
-            c.write_sum(self.sums, j, 15, force, lane)
+            c.write_sum(self.sums, j, FORCE, force, lane)
             for k in ti.static(range(3)):
-                c.write_sum(self.sums, j, k, p[k], lane)
-                c.write_sum(self.sums, j, 3 + k, q[k], lane)
-                c.write_sum(self.sums, j, 6 + k, L[k], lane)
-                c.write_sum(self.sums, j, 9 + k, square[k], lane)
-                c.write_sum(self.sums, j, 12 + k, mixed[k], lane)
-                c.write_sum(self.sums, j, 16 + k, force_r[k], lane)
-                c.write_sum(self.sums, j, 19 + k, force_square[k], lane)
-                c.write_sum(self.sums, j, 22 + k, force_mixed[k], lane)
-        ti.loop_config(serialize=s.serial)
+                c.write_sum(self.sums, j, MASS_R + k, p[k], lane)
+                c.write_sum(self.sums, j, MOMENTUM + k, q[k], lane)
+                c.write_sum(self.sums, j, SPIN + k, L[k], lane)
+                c.write_sum(self.sums, j, SQUARES + k, square[k], lane)
+                c.write_sum(self.sums, j, PRODUCTS + k, mixed[k], lane)
+                c.write_sum(self.sums, j, FORCE_R + k, force_r[k], lane)
+                c.write_sum(self.sums, j, FORCE_SQUARES + k, force_square[k], lane)
+                c.write_sum(self.sums, j, FORCE_PRODUCTS + k, force_mixed[k], lane)
+
+    @ti.func
+    def _sum_bodies(self):
+        """Fill `total`."""
+        c = self.blocks
+        ti.loop_config(serialize=self.state.serial)
         for w in range(MAX_BODIES * DAMPING_SUMS * c.lanes):
             bk, lane = w // c.lanes, w % c.lanes
             b, k = bk // DAMPING_SUMS, bk % DAMPING_SUMS
             total = c.sum_by_lanes(self.sums, b, k, lane)
             if lane == 0:
                 self.total[b, k] = total
+
+    @ti.func
+    def _find_rigid_motion(self, t):
+        """Rigid motion of each body, and what its rolling resistance takes from its rotation."""
+        s = self.state
         ti.loop_config(serialize=s.serial)
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
                 total = ti.Vector([self.total[b, k] for k in range(DAMPING_SUMS)])
                 M = s.prescribed_mass[b] if s.prescribed_mass[b] > 0.0 else s.body_mass[b]
-                d = total[0:3] / M
-                v = total[3:6] / M
-                L = total[6:9] - M * d.cross(v)
-                inertia = moment_of_inertia(total[9:12], total[12:15], d, M)
+                d = total[MASS_R:MOMENTUM] / M
+                v = total[MOMENTUM:SPIN] / M
+                L = total[SPIN:SQUARES] - M * d.cross(v)
+                inertia = moment_of_inertia(total[SQUARES:PRODUCTS], total[PRODUCTS:FORCE], d, M)
                 tiny = 0.5e-6 * inertia.trace() + 1e-9 * M  # a body flattened to a line has no inertia about it
                 inertia += tiny * ti.Matrix.identity(ti.f32, 3)
                 omega = (inertia / M).inverse() @ (L / M)
@@ -125,16 +145,24 @@ class Damping:
                 self.omega[b] = omega
                 self.rocking_change[b], self.pressure_center[b] = ti.Vector([0.0, 0.0, 0.0]), self.center[b]
                 if ti.static(self.touches):
-                    force = total[15]
+                    force = total[FORCE]
                     if force > 0.0 and s.prescribed_mass[b] == 0.0:
-                        p = total[16:19] / force
+                        p = total[FORCE_R:FORCE_SQUARES] / force
                         arm, k = d - p, 1.0 - ti.exp(-s.damping[b] * t)
-                        wanted = k * (inertia @ omega + M * arm.cross(omega.cross(arm)))
+                        wanted = k * (inertia @ omega + M * arm.cross(omega.cross(arm)))  # s = 1: k I_p omega
                         axis = wanted / ti.max(wanted.norm(), 1e-20)
-                        square = axis.dot(moment_of_inertia(total[19:22], total[22:25], p, force) @ axis) / force
+                        spread = moment_of_inertia(
+                            total[FORCE_SQUARES:FORCE_PRODUCTS], total[FORCE_PRODUCTS:DAMPING_SUMS], p, force
+                        )
+                        square = axis.dot(spread @ axis) / force  # a^2
                         most = ROLLING_RESISTANCE * force * t * ti.sqrt(ti.max(square, 0.0))
                         self.pressure_center[b] = s.x[s.vertex_begin[b]] + p
                         self.rocking_change[b] = -k * ti.min(most / ti.max(wanted.norm(), 1e-20), 1.0) * omega
+
+    @ti.func
+    def _damp(self, t):
+        """Change the velocities of the vertices, and predict their increments."""
+        s = self.state
         ti.loop_config(serialize=s.serial)
         for i in range(s.V):
             if s.awake_vertex(i):

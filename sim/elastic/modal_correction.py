@@ -27,6 +27,7 @@ import scipy.sparse as sp
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
+from core.lanes import from_lane, sum_lanes
 from core.material import Material
 from core.quaternion import polar_quaternion, to_matrix
 from sim.elastic.energy import Elasticity
@@ -36,7 +37,6 @@ from sim.state import State
 from sim.time_step import lame
 
 if TYPE_CHECKING:
-    from sim.elastic.substep import PersistentGrid
     from sim.elastic.vbd import VertexDescent
 
 MODES = 24  # of a body: six rigid, and a bar's bending, twist and stretch to about the third overtone
@@ -47,31 +47,36 @@ MOMENTS = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
 
 @ti.data_oriented
 class ModalCorrection:
-    """The correction as `kernels()`, to be launched in their order.
+    """The correction: its steps, each by `lanes` threads for a block of vertices or a body, and CPU kernels of them.
 
-    Inputs: target vec3[V] [m], where inertia and impulses want dx; reaction vec3[V] [N] of static shapes;
-    contact_stiffness f32[V] [N/m].
+    A block is a run of at most 64 vertices of one body (ReductionBlocks). In a persistent kernel a warp takes a block,
+    and all threads meet between the steps, which are, after a substep's last sweep:
+
+        sum_moments, fit_rotation   R of each body (in the persistent kernel before the sweeps: x stays)
+                                    force: R^T f of each vertex
+        project, find_amplitude     q_k
+        find_step, move             d, and dx += b d
+        set_products, measure       the sums of the secant
+        shortening                  a / b
     """
 
     def __init__(
-        self, state: State, elasticity: Elasticity, blocks: ReductionBlocks, target, reaction, contact_stiffness
+        self, state: State, elasticity: Elasticity, blocks: ReductionBlocks, descent: "VertexDescent", lanes: int = 1
     ):
-        self.state, self.elasticity, self.blocks = state, elasticity, blocks
-        self.target, self.reaction, self.contact_stiffness = target, reaction, contact_stiffness
+        self.state, self.elasticity, self.blocks, self.descent, self.lanes = state, elasticity, blocks, descent, lanes
         V, B, N = state.V, MAX_BODIES, blocks.size
         g = self._group = FieldGroup()
         self.mode = g.vector(MODES * V)  # U_ki at k * vertex_count + i [kg^-1/2]
         self.frequency_sqr = g.scalar(B * MODES)  # w_k at b * MODES + k [1/s^2]
         self.amplitude = g.scalar(B * MODES)  # q_k
         self.rotation = g.matrix(B)  # R
-        self.moments = g.scalar(N, MOMENTS)
+        self.moments = g.scalar(N, MOMENTS)  # of the blocks
         self.force = g.vector(V)  # residual in the body's frame [N]
         self.step = g.vector(V)  # d, then b d [m]
-        self.product = g.scalar(V, 2)  # terms of f . d and h, then of the secant's two sums [J]
+        self.product = g.scalar(V, 2)  # f . d, then the terms of the secant's two sums [J]
         self.product_sums = g.scalar(N, 2)  # of the blocks
         self.mode_sums = g.scalar(N, MODES)  # of the blocks
         self.trial = g.scalar(B)  # b
-        self.step_scale = g.scalar(B)  # a / b
         g.build()
         self._upload = Upload([self.mode, self.frequency_sqr])
 
@@ -84,185 +89,250 @@ class ModalCorrection:
         self._upload([U.reshape(-1, 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:
-        """Kernels of one correction."""
-        return [
-            self._fit_rotations(),
-            self._residual(),
-            self._project(),
-            self._move(),
-            self._measure(),
-            self._shorten(),
-        ]
-
-    def _fit_rotations(self):
-        """R of each body: the polar rotation of sum m x (rest - mean rest)^T."""
-        s, c = self.state, self.blocks
+        """Kernels of one correction, for a device without persistent kernels."""
+        s, blocks = self.state, self.blocks
 
         @ti.kernel
         def fit_rotations():
             ti.loop_config(serialize=s.serial)
-            for j in range(c.size):
-                span = c.span[j]
-                total = ti.Matrix.zero(ti.f32, 3, 3)
-                p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-                first = s.vertex_begin[span[2]]
-                for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
-                    m, x, X = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first]
-                    total += m * x.outer_product(X)
-                    p += m * x
-                    q += m * X
-                for k in ti.static(range(3)):
-                    for l in ti.static(range(3)):
-                        self.moments[j, 3 * k + l] = total[k, l]
-                    self.moments[j, 9 + k] = p[k]
-                    self.moments[j, 12 + k] = q[k]
+            for j in range(blocks.size):
+                if self._awake(j):
+                    self.sum_moments(j, s.x[s.vertex_begin[blocks.span[j][2]]], 0)
             ti.loop_config(serialize=s.serial)
             for b in range(MAX_BODIES):
                 if s.awake_body(b):
-                    total = ti.Matrix.zero(ti.f32, 3, 3)
-                    p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-                    for j in range(c.begin[b], c.begin[b + 1]):
-                        for k in ti.static(range(3)):
-                            for l in ti.static(range(3)):
-                                total[k, l] += self.moments[j, 3 * k + l]
-                            p[k] += self.moments[j, 9 + k]
-                            q[k] += self.moments[j, 12 + k]
-                    self.rotation[b] = to_matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
+                    self.fit_rotation(b, 0)
 
-        return fit_rotations
-
-    @ti.func
-    def _total(self, i):
-        """Residual force of vertex i [N]."""
-        s = self.state
-        f = self.reaction[i] + s.mass[i] / s.dt[None] ** 2 * (self.target[i] - s.dx[i])
-        return self.elasticity.add_slots(i, f)
-
-    def _residual(self):
-        """Residual force of every vertex, in its body's frame."""
-        s = self.state
-
-        @ti.kernel
-        def residual():
+        @ti.func
+        def write_forces():
             ti.loop_config(serialize=s.serial)
             for t in range(s.T):
                 if s.awake_tet(t):
                     self.elasticity.write_forces(t)
+
+        @ti.kernel
+        def set_forces():
+            write_forces()
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if s.awake_vertex(i):
                     f = ti.Vector([0.0, 0.0, 0.0])
                     if s.inv_mass[i] > 0.0:
-                        f = self.rotation[s.body_of_vertex[i]].transpose() @ self._total(i)
+                        f = self.rotation[s.body_of_vertex[i]].transpose() @ self._residual(i)
                     self.force[i] = f
 
-        return residual
-
-    def _project(self):
-        """Amplitudes q_k of the modes."""
-        s, c = self.state, self.blocks
-
         @ti.kernel
-        def project():
+        def set_products():
+            write_forces()
             ti.loop_config(serialize=s.serial)
-            for jk in range(c.size * MODES):
-                j, k = jk // MODES, jk % MODES
-                span, total = c.span[j], 0.0
-                for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
-                    total += self.mode[k * s.vertex_count[None] + i].dot(self.force[i])
-                self.mode_sums[j, k] = total
-            ti.loop_config(serialize=s.serial)
-            for bk in range(MAX_BODIES * MODES):
-                b, k = bk // MODES, bk % MODES
-                if s.awake_body(b):
-                    total = c.sum(self.mode_sums, b, k)
-                    self.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + self.frequency_sqr[bk])
-
-        return project
-
-    @ti.func
-    def _sum_products(self, j, k):
-        """Sum column k of `product` over block j."""
-        s, span, total = self.state, self.blocks.span[j], 0.0
-        for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
-            total += self.product[i, k]
-        self.product_sums[j, k] = total
-
-    def _move(self):
-        """Move along the modes by b d."""
-        s, c = self.state, self.blocks
+            for i in range(s.V):
+                if s.awake_vertex(i):
+                    self.set_products(i, self._residual(i))
 
         @ti.kernel
         def move():
             ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    b, d = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
-                    for k in range(MODES):
-                        d += self.amplitude[b * MODES + k] * self.mode[k * s.vertex_count[None] + i]
-                    self.product[i, 0] = d.dot(self.force[i])
-                    self.product[i, 1] = self.contact_stiffness[i] * d.norm_sqr()
-                    self.step[i] = self.rotation[b] @ d
+            for jk in range(blocks.size * MODES):  # as `project`, spread over the modes
+                j, k = jk // MODES, jk % MODES
+                if self._awake(j):
+                    span, total = blocks.span[j], 0.0
+                    for i in range(span[0], span[1]):
+                        total += self.mode[k * s.vertex_count[None] + i].dot(self.force[i])
+                    self.mode_sums[j, k] = total
             ti.loop_config(serialize=s.serial)
-            for jk in range(2 * c.size):
-                self._sum_products(jk // 2, jk % 2)
+            for bk in range(MAX_BODIES * MODES):
+                if s.awake_body(bk // MODES):
+                    self.find_amplitude(bk, 0)
             ti.loop_config(serialize=s.serial)
-            for b in range(MAX_BODIES):
-                if s.awake_body(b):
-                    gain = c.sum(self.product_sums, b, 0)
-                    total = gain + c.sum(self.product_sums, b, 1)
-                    self.trial[b] = gain / ti.max(total, 1e-30) if gain > 0.0 else 0.0
+            for j in range(blocks.size):
+                if self._awake(j):
+                    self.find_step(j, 0)
             ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    d = self.trial[s.body_of_vertex[i]] * self.step[i]
-                    self.step[i] = d
-                    s.dx[i] += d
-
-        return move
-
-    def _measure(self):
-        """Sums of the secant, from the residual at dx + b d."""
-        s, c = self.state, self.blocks
-
-        @ti.kernel
-        def measure():
-            ti.loop_config(serialize=s.serial)
-            for t in range(s.T):
-                if s.awake_tet(t):
-                    self.elasticity.write_forces(t)
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    d, b = self.step[i], self.trial[s.body_of_vertex[i]]
-                    self.product[i, 0] *= b
-                    contact = self.contact_stiffness[i] * d.norm_sqr()
-                    self.product[i, 1] = self.product[i, 0] + contact - d.dot(self._total(i))
-            ti.loop_config(serialize=s.serial)
-            for jk in range(2 * c.size):
-                self._sum_products(jk // 2, jk % 2)
-
-        return measure
-
-    def _shorten(self):
-        """Shorten the step to a d."""
-        s, c = self.state, self.blocks
+            for j in range(blocks.size):
+                if self._awake(j):
+                    self.move(j, 0)
 
         @ti.kernel
         def shorten():
             ti.loop_config(serialize=s.serial)
-            for b in range(MAX_BODIES):
-                if s.awake_body(b):
-                    gain, curvature, a = c.sum(self.product_sums, b, 0), c.sum(self.product_sums, b, 1), 1.0
-                    if curvature > gain:
-                        a = ti.max(gain / curvature, 0.0)
-                    self.step_scale[b] = a
+            for j in range(blocks.size):
+                if self._awake(j):
+                    self.measure(j, 0)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if s.awake_vertex(i):
-                    s.dx[i] += (self.step_scale[s.body_of_vertex[i]] - 1.0) * self.step[i]
+                    s.dx[i] += (self.shortening(s.body_of_vertex[i], 0) - 1.0) * self.step[i]
 
-        return shorten
+        return [fit_rotations, set_forces, move, set_products, shorten]
+
+    @ti.func
+    def _awake(self, j):
+        """True if block j is of a body that is awake."""
+        span = self.blocks.span[j]
+        return span[0] < span[1] and not self.state.asleep[span[2]]
+
+    @ti.func
+    def _sum(self, value):
+        """Sum of a float over the lanes, in the first of them."""
+        return sum_lanes(value, self.lanes)
+
+    @ti.func
+    def sum_moments(self, j, origin, lane):
+        """Moments of block j for the rotation, with x about this point of the body."""
+        s, span = self.state, self.blocks.span[j]
+        total = ti.Matrix.zero(ti.f32, 3, 3)
+        p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+        first = s.vertex_begin[span[2]]
+        i = span[0] + lane
+        while i < span[1]:
+            mass, x, X = s.mass[i], s.x[i] - origin, s.rest[i] - s.rest[first]
+            total += mass * x.outer_product(X)
+            p += mass * x
+            q += mass * X
+            i += self.lanes
+        for k in ti.static(range(3)):
+            for l in ti.static(range(3)):
+                total[k, l] = self._sum(total[k, l])
+            p[k], q[k] = self._sum(p[k]), self._sum(q[k])
+        if lane == 0:
+            for k in ti.static(range(3)):
+                for l in ti.static(range(3)):
+                    self.moments[j, 3 * k + l] = total[k, l]
+                self.moments[j, 9 + k], self.moments[j, 12 + k] = p[k], q[k]
+
+    @ti.func
+    def fit_rotation(self, b, lane):
+        """R of body b: the polar rotation of sum m x (rest - mean rest)^T."""
+        total = ti.Matrix.zero(ti.f32, 3, 3)
+        p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+        j = self.blocks.begin[b] + lane
+        while j < self.blocks.begin[b + 1]:
+            for k in ti.static(range(3)):
+                for l in ti.static(range(3)):
+                    total[k, l] += self.moments[j, 3 * k + l]
+                p[k] += self.moments[j, 9 + k]
+                q[k] += self.moments[j, 12 + k]
+            j += self.lanes
+        for k in ti.static(range(3)):
+            for l in ti.static(range(3)):
+                total[k, l] = self._sum(total[k, l])
+            p[k], q[k] = self._sum(p[k]), self._sum(q[k])
+        if lane == 0:
+            self.rotation[b] = to_matrix(polar_quaternion(total - p.outer_product(q) / self.state.body_mass[b]))
+
+    @ti.func
+    def _residual(self, i):
+        """Residual force of vertex i [N], after the tets have written theirs to its slots."""
+        s, d = self.state, self.descent
+        f = d.reaction[i] + s.mass[i] / s.dt[None] ** 2 * (d.target[i] - s.dx[i])
+        return self.elasticity.add_slots(i, f)
+
+    @ti.func
+    def set_products(self, i, f: ti.template()):
+        """Take the residual force f [N] of vertex i after the step b d, for the secant."""
+        d, b = self.step[i], self.trial[self.state.body_of_vertex[i]]
+        self.product[i, 0] *= b
+        contact = self.descent.contact_stiffness[i] * d.norm_sqr()
+        self.product[i, 1] = self.product[i, 0] + contact - d.dot(f)
+
+    @ti.func
+    def project(self, j, lane):
+        """Sums of block j for the amplitudes."""
+        s, span = self.state, self.blocks.span[j]
+        total = ti.Vector([0.0] * MODES)
+        i = span[0] + lane
+        while i < span[1]:
+            f = self.force[i]
+            for k in ti.static(range(MODES)):
+                total[k] += self.mode[k * s.vertex_count[None] + i].dot(f)
+            i += self.lanes
+        for k in ti.static(range(MODES)):
+            total[k] = self._sum(total[k])
+        if lane == 0:
+            for k in ti.static(range(MODES)):
+                self.mode_sums[j, k] = total[k]
+
+    @ti.func
+    def find_amplitude(self, bk, lane):
+        """q_k of body b, at bk = b * MODES + k."""
+        b, k = bk // MODES, bk % MODES
+        total, j = 0.0, self.blocks.begin[b] + lane
+        while j < self.blocks.begin[b + 1]:
+            total += self.mode_sums[j, k]
+            j += self.lanes
+        total = self._sum(total)
+        if lane == 0:
+            self.amplitude[bk] = total / (1.0 / self.state.dt[None] ** 2 + self.frequency_sqr[bk])
+
+    @ti.func
+    def find_step(self, j, lane):
+        """d of the vertices of block j, and its sums of f . d and h."""
+        s, span = self.state, self.blocks.span[j]
+        gain, h = 0.0, 0.0
+        i = span[0] + lane
+        while i < span[1]:
+            d = ti.Vector([0.0, 0.0, 0.0])
+            for k in range(MODES):
+                d += self.amplitude[span[2] * MODES + k] * self.mode[k * s.vertex_count[None] + i]
+            product = d.dot(self.force[i])
+            gain += product
+            h += self.descent.contact_stiffness[i] * d.norm_sqr()
+            self.product[i, 0] = product
+            self.step[i] = self.rotation[span[2]] @ d
+            i += self.lanes
+        self._write_sums(j, lane, gain, h)
+
+    @ti.func
+    def move(self, j, lane):
+        """Move the vertices of block j by b d."""
+        s, span = self.state, self.blocks.span[j]
+        gain, h = self._body_sum(span[2], 0, lane), self._body_sum(span[2], 1, lane)
+        b = gain / ti.max(gain + h, 1e-30) if gain > 0.0 else 0.0
+        if lane == 0 and j == self.blocks.begin[span[2]]:
+            self.trial[span[2]] = b
+        i = span[0] + lane
+        while i < span[1]:
+            d = b * self.step[i]
+            self.step[i] = d
+            s.dx[i] += d
+            i += self.lanes
+
+    @ti.func
+    def measure(self, j, lane):
+        """Sums of the secant over block j."""
+        span = self.blocks.span[j]
+        for k in ti.static(range(2)):
+            total, i = 0.0, span[0] + lane
+            while i < span[1]:
+                total += self.product[i, k]
+                i += self.lanes
+            total = self._sum(total)
+            if lane == 0:
+                self.product_sums[j, k] = total
+
+    @ti.func
+    def shortening(self, b, lane):
+        """a / b of body b, in all lanes: what is kept of the trial's step."""
+        gain, curvature = self._body_sum(b, 0, lane), self._body_sum(b, 1, lane)
+        kept = 1.0
+        if curvature > gain:
+            kept = ti.max(gain / curvature, 0.0)
+        return kept
+
+    @ti.func
+    def _write_sums(self, j, lane, a, b):
+        a_total, b_total = self._sum(a), self._sum(b)
+        if lane == 0:
+            self.product_sums[j, 0], self.product_sums[j, 1] = a_total, b_total
+
+    @ti.func
+    def _body_sum(self, b, k: ti.template(), lane):
+        """Sum k of `product_sums` over body b, in all lanes."""
+        total, j = 0.0, self.blocks.begin[b] + lane
+        while j < self.blocks.begin[b + 1]:
+            total += self.product_sums[j, k]
+            j += self.lanes
+        return from_lane(self._sum(total), 0, self.lanes)
 
     def destroy(self) -> None:
         self._group.destroy()
@@ -352,243 +422,3 @@ def modes_of(shape: RestShape, pinned: tuple, material: Material) -> tuple[np.nd
     mu, _ = lame(material)
     mass = material.density * shape.factor**3
     return U / np.sqrt(mass), squares * mu * shape.factor / mass
-
-
-@ti.data_oriented
-class ModalWarps:
-    """The correction by warps, inside a kernel that stays; each step is called by all threads.
-
-    A warp takes a run of at most 64 vertices of one body (ReductionBlocks), two vertices a lane. Between the steps all
-    threads meet.
-    """
-
-    def __init__(self, modal: "ModalCorrection", descent: "VertexDescent", grid: "PersistentGrid"):
-        self.modal, self.descent, self.grid = modal, descent, grid
-        self.state, self.blocks = modal.state, modal.blocks
-        self.lanes, self.warps = grid.warp, grid.warps
-        g = self._group = FieldGroup()
-        # Point of each body about which moments are summed: of the last substep, because x is just being moved
-        self.origin = g.vector(MAX_BODIES)
-        g.build()
-
-    @ti.func
-    def begin(self, b):
-        """Before the first turn, for each body."""
-        if b < self.state.body_count[None]:
-            self.origin[b] = self.state.x[self.state.vertex_begin[b]]
-
-    @ti.func
-    def _sum(self, value):
-        """Sum of a float over the lanes of a warp, in its first one."""
-        return self.grid.sum_lanes(value, self.lanes)
-
-    @ti.func
-    def _spans(self):
-        """Number of runs in use."""
-        return self.blocks.begin[self.state.body_count[None]]
-
-    @ti.func
-    def turn(self, thread, ends, begins):
-        """End a substep, begin the next one: shorten the last step, commit, predict; and the moments for rotations."""
-        s, m = self.state, self.modal
-        j, lane = self.grid.warp_index(thread), thread % self.lanes
-        while j < self._spans():
-            span = self.blocks.span[j]
-            if not self.state.asleep[span[2]]:
-                a = 1.0
-                if ends:
-                    gain, curvature = self._body_sums(span[2], lane)
-                    if curvature > gain:
-                        a = ti.max(gain / curvature, 0.0)
-                i = span[0] + lane
-                while i < span[1]:
-                    predicted = s.dx_predicted[i]
-                    if ends:
-                        predicted = self.descent.end(i, s.dx[i] + (a - 1.0) * m.step[i])
-                    if begins:
-                        self.descent.begin(i, predicted)
-                    i += self.lanes
-                if begins:
-                    self._sum_moments(j, span, lane)
-            j += self.warps
-
-    @ti.func
-    def _sum_moments(self, j, span, lane):
-        s, m = self.state, self.modal
-        total = ti.Matrix.zero(ti.f32, 3, 3)
-        p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-        first, origin = s.vertex_begin[span[2]], self.origin[span[2]]
-        i = span[0] + lane
-        while i < span[1]:
-            mass, x, X = s.mass[i], s.x[i] - origin, s.rest[i] - s.rest[first]
-            total += mass * x.outer_product(X)
-            p += mass * x
-            q += mass * X
-            i += self.lanes
-        for k in ti.static(range(3)):
-            for l in ti.static(range(3)):
-                total[k, l] = self._sum(total[k, l])
-            p[k], q[k] = self._sum(p[k]), self._sum(q[k])
-        if lane == 0:
-            for k in ti.static(range(3)):
-                for l in ti.static(range(3)):
-                    m.moments[j, 3 * k + l] = total[k, l]
-                m.moments[j, 9 + k], m.moments[j, 12 + k] = p[k], q[k]
-
-    @ti.func
-    def fit_rotations(self, thread):
-        """R of each body."""
-        s, m = self.state, self.modal
-        b, lane = self.grid.warp_index(thread), thread % self.lanes
-        while b < s.body_count[None]:
-            self.origin[b] = s.x[s.vertex_begin[b]]  # all threads of the warp write the same
-            total = ti.Matrix.zero(ti.f32, 3, 3)
-            p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-            j = self.blocks.begin[b] + lane
-            while j < self.blocks.begin[b + 1]:
-                for k in ti.static(range(3)):
-                    for l in ti.static(range(3)):
-                        total[k, l] += m.moments[j, 3 * k + l]
-                    p[k] += m.moments[j, 9 + k]
-                    q[k] += m.moments[j, 12 + k]
-                j += self.lanes
-            for k in ti.static(range(3)):
-                for l in ti.static(range(3)):
-                    total[k, l] = self._sum(total[k, l])
-                p[k], q[k] = self._sum(p[k]), self._sum(q[k])
-            if lane == 0:
-                m.rotation[b] = to_matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
-            b += self.warps
-
-    @ti.func
-    def set_residual(self, i, elastic, trial):
-        """Residual force of vertex i, from its elastic part [N]; at the trial, its terms of the secant."""
-        s, m, d = self.state, self.modal, self.descent
-        b = s.body_of_vertex[i]
-        f = ti.Vector([0.0, 0.0, 0.0])
-        if s.inv_mass[i] > 0.0:
-            f = elastic + d.reaction[i] + s.mass[i] / s.dt[None] ** 2 * (d.target[i] - s.dx[i])
-        if trial == 0:
-            m.force[i] = m.rotation[b].transpose() @ f
-        else:
-            step, gain = m.step[i], m.product[i, 0] * m.trial[b]
-            m.product[i, 0] = gain
-            m.product[i, 1] = gain + d.contact_stiffness[i] * step.norm_sqr() - step.dot(f)
-
-    @ti.func
-    def project(self, thread):
-        """Sums of each run for the amplitudes."""
-        s, m = self.state, self.modal
-        j, lane = self.grid.warp_index(thread), thread % self.lanes
-        while j < self._spans():
-            span = self.blocks.span[j]
-            if not self.state.asleep[span[2]]:
-                total = ti.Vector([0.0] * MODES)
-                i = span[0] + lane
-                while i < span[1]:
-                    f = m.force[i]
-                    for k in ti.static(range(MODES)):
-                        total[k] += m.mode[k * s.vertex_count[None] + i].dot(f)
-                    i += self.lanes
-                for k in ti.static(range(MODES)):
-                    total[k] = self._sum(total[k])
-                if lane == 0:
-                    for k in ti.static(range(MODES)):
-                        m.mode_sums[j, k] = total[k]
-            j += self.warps
-
-    @ti.func
-    def find_amplitudes(self, thread):
-        """q_k of each body."""
-        s, m = self.state, self.modal
-        bk, lane = self.grid.warp_index(thread), thread % self.lanes
-        while bk < s.body_count[None] * MODES:
-            b, k = bk // MODES, bk % MODES
-            total, j = 0.0, self.blocks.begin[b] + lane
-            while j < self.blocks.begin[b + 1]:
-                total += m.mode_sums[j, k]
-                j += self.lanes
-            total = self._sum(total)
-            if lane == 0:
-                m.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + m.frequency_sqr[bk])
-            bk += self.warps
-
-    @ti.func
-    def find_step(self, thread):
-        """d of each vertex, and the sums of f . d and h."""
-        s, m = self.state, self.modal
-        j, lane = self.grid.warp_index(thread), thread % self.lanes
-        while j < self._spans():
-            span = self.blocks.span[j]
-            if not self.state.asleep[span[2]]:
-                gain, h = 0.0, 0.0
-                i = span[0] + lane
-                while i < span[1]:
-                    d = ti.Vector([0.0, 0.0, 0.0])
-                    for k in range(MODES):
-                        d += m.amplitude[span[2] * MODES + k] * m.mode[k * s.vertex_count[None] + i]
-                    product = d.dot(m.force[i])
-                    gain += product
-                    h += self.descent.contact_stiffness[i] * d.norm_sqr()
-                    m.product[i, 0] = product
-                    m.step[i] = m.rotation[span[2]] @ d
-                    i += self.lanes
-                self._write_sums(j, lane, gain, h)
-            j += self.warps
-
-    @ti.func
-    def move(self, thread):
-        """Move by b d."""
-        s, m = self.state, self.modal
-        j, lane = self.grid.warp_index(thread), thread % self.lanes
-        while j < self._spans():
-            span = self.blocks.span[j]
-            if not self.state.asleep[span[2]]:
-                gain, h = self._body_sums(span[2], lane)
-                b = gain / ti.max(gain + h, 1e-30) if gain > 0.0 else 0.0
-                if lane == 0 and j == self.blocks.begin[span[2]]:
-                    m.trial[span[2]] = b
-                i = span[0] + lane
-                while i < span[1]:
-                    d = b * m.step[i]
-                    m.step[i] = d
-                    s.dx[i] += d
-                    i += self.lanes
-            j += self.warps
-
-    @ti.func
-    def measure(self, thread):
-        """Sums of the secant."""
-        m = self.modal
-        j, lane = self.grid.warp_index(thread), thread % self.lanes
-        while j < self._spans():
-            span = self.blocks.span[j]
-            if not self.state.asleep[span[2]]:
-                gain, curvature = 0.0, 0.0
-                i = span[0] + lane
-                while i < span[1]:
-                    gain += m.product[i, 0]
-                    curvature += m.product[i, 1]
-                    i += self.lanes
-                self._write_sums(j, lane, gain, curvature)
-            j += self.warps
-
-    @ti.func
-    def _write_sums(self, j, lane, a, b):
-        a_total, b_total = self._sum(a), self._sum(b)
-        if lane == 0:
-            self.modal.product_sums[j, 0], self.modal.product_sums[j, 1] = a_total, b_total
-
-    @ti.func
-    def _body_sums(self, b, lane):
-        """Both sums over body b, in all lanes."""
-        m = self.modal
-        one, other, j = 0.0, 0.0, self.blocks.begin[b] + lane
-        while j < self.blocks.begin[b + 1]:
-            one += m.product_sums[j, 0]
-            other += m.product_sums[j, 1]
-            j += self.lanes
-        return self.grid.broadcast(self._sum(one)), self.grid.broadcast(self._sum(other))
-
-    def destroy(self) -> None:
-        self._group.destroy()

@@ -225,14 +225,12 @@ def divide(tets: np.ndarray, order: np.ndarray, blocks: int) -> dict[str, np.nda
 
 def _divided(tets, order, begin) -> dict[str, np.ndarray] | None:
     """The tables of `divide` for these ranges of `order`; None if a patch would be too large."""
-    n, patches = len(order), len(begin) - 1
-    place = np.empty(n, np.int64)
-    place[order] = np.arange(n)
-    corner_place = place[tets]  # (T, 4)
+    n = len(order)
+    corner_place = inverse_of(order)[tets]  # (T, 4)
     ends = np.r_[0, np.cumsum(np.bincount(corner_place.ravel(), minlength=n))]
     if np.diff(ends[begin]).max(initial=0) > MAX_SLOTS:
         return None
-    patch_of = np.repeat(np.arange(patches), np.diff(begin))
+    patch_of = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
     patch = patch_of[corner_place]
     first = np.ones(patch.shape, bool)  # corners that are the first of their tet in their patch
     for c in range(1, 4):
@@ -241,37 +239,59 @@ def _divided(tets, order, begin) -> dict[str, np.ndarray] | None:
     t, c = np.nonzero(first)
     by_patch = np.argsort(patch[t, c], kind="stable")
     t, owner = t[by_patch], patch[t, c][by_patch]
-    own = patch[t] == owner[:, None]
-    outside, index = np.unique((owner[:, None] * n + corner_place[t])[~own], return_inverse=True)
-    outside_begin = np.searchsorted(outside, np.arange(patches + 1) * n)
-    sizes = np.diff(begin) + np.diff(outside_begin)
-    if sizes.max(initial=0) > MAX_LOCAL:
+    tables = local_tables(order, begin, owner, corner_place[t], np.arange(n), MAX_LOCAL)
+    if tables is None:
+        return None
+    slot_begin, slot_end = (np.zeros(len(tables["local"]), np.int64) for _ in range(2))
+    start, mine = ends[begin[patch_of]], tables["mine"]
+    slot_begin[mine], slot_end[mine] = ends[:-1] - start, ends[1:] - start
+    rank = inverse_of(np.argsort(corner_place.ravel(), kind="stable"))  # of each corner, by the place of its vertex
+    slot = np.where(patch[t] == owner[:, None], rank.reshape(-1, 4)[t] - ends[begin[owner]][:, None], -1)
+    tet_begin = np.searchsorted(owner, np.arange(len(begin)))
+    return {**tables, "slot_begin": slot_begin, "slot_end": slot_end, "tet_begin": tet_begin, "tet": t, "slot": slot}
+
+
+def inverse_of(order: np.ndarray) -> np.ndarray:
+    """Place of each element in an order (n,)."""
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    return place
+
+
+def local_tables(order, begin, owner, corner_place, rank, most: int) -> dict[str, np.ndarray] | None:
+    """Vertices of patches that own the ranges of `order` from begin (P+1,) on; None if one has more than `most`.
+
+    owner (N,): patch of each element; corner_place (N, 4): of its corners in `order`; rank (V,): of each place, by
+    which the vertices that others own are ordered.
+    Returns local: vertices of the patches, own ones first; local_begin (P+1,), own_end (P,) in it; corner (N, 4): index
+    of each corner among its patch's vertices; mine (V,): place in `local` of each own vertex; others, others_patch:
+    places in `order` of the vertices that others own, and in whose patch.
+    """
+    n, patches = len(order), len(begin) - 1
+    patch_of = np.repeat(np.arange(patches), np.diff(begin))
+    own = patch_of[corner_place] == owner[:, None]
+    outside, index = np.unique((owner[:, None] * n + rank[corner_place])[~own], return_inverse=True)
+    others_patch, others = outside // n, inverse_of(rank)[outside % n]
+    others_begin = np.searchsorted(others_patch, np.arange(patches + 1))
+    sizes = np.diff(begin) + np.diff(others_begin)
+    if sizes.max(initial=0) > most:
         return None
     local_begin = np.r_[0, np.cumsum(sizes)]
     own_end = local_begin[:-1] + np.diff(begin)
-    local, slot_begin, slot_end = (np.zeros(local_begin[-1], np.int64) for _ in range(3))
-    mine = np.arange(n) - begin[patch_of] + local_begin[patch_of]  # place in `local` of each own vertex
-    local[mine] = order
-    start = ends[begin[patch_of]]
-    slot_begin[mine], slot_end[mine] = ends[:-1] - start, ends[1:] - start
-    of = outside // n
-    theirs = np.arange(len(outside)) - outside_begin[of] + own_end[of]
-    local[theirs] = order[outside % n]
-    corner = corner_place[t] - begin[owner][:, None]
-    corner[~own] = (theirs - local_begin[of])[index]
-    rank = np.empty(tets.size, np.int64)  # of each corner among those of all vertices in order
-    rank[np.argsort(corner_place.ravel(), kind="stable")] = np.arange(tets.size)
-    slot = np.where(own, rank.reshape(-1, 4)[t] - ends[begin[owner]][:, None], -1)
+    mine = np.arange(n) - begin[patch_of] + local_begin[patch_of]
+    theirs = np.arange(len(others)) - others_begin[others_patch] + own_end[others_patch]
+    local = np.zeros(local_begin[-1], np.int64)
+    local[mine], local[theirs] = order, order[others]
+    corner = corner_place - begin[owner][:, None]
+    corner[~own] = (theirs - local_begin[others_patch])[index]
     return {
         "local": local,
         "local_begin": local_begin,
         "own_end": own_end,
-        "slot_begin": slot_begin,
-        "slot_end": slot_end,
-        "tet_begin": np.searchsorted(owner, np.arange(patches + 1)),
-        "tet": t,
         "corner": corner,
-        "slot": slot,
+        "mine": mine,
+        "others": others,
+        "others_patch": others_patch,
     }
 
 
@@ -490,43 +510,29 @@ def _divided_by_color(tets: np.ndarray, order: np.ndarray, color: np.ndarray, be
     n, blocks = len(order), len(begin) - 1
     patch_at = np.repeat(np.arange(blocks), np.diff(begin))
     order = order[np.lexsort((color[order], patch_at))]
-    place = np.empty(n, np.int64)
-    place[order] = np.arange(n)
-    by_vertex = np.argsort(place[tets].ravel(), kind="stable")  # slots: corners in the order of their vertices
+    corner_place = inverse_of(order)[tets]
+    by_vertex = np.argsort(corner_place.ravel(), kind="stable")  # slots: corners in the order of their vertices
     tet, corner = by_vertex // 4, by_vertex % 4
-    ends = np.r_[0, np.cumsum(np.bincount(place[tets].ravel(), minlength=n))]
-    owner = patch_at[place[tets[tet, corner]]] if len(tet) else np.zeros(0, np.int64)
-    at = place[tets[tet]]
-    own = patch_at[at] == owner[:, None]
-    by_color = (owner[:, None] * COLOR_PLACES + color[order][at] + 1) * n + at
-    outside, index = np.unique(by_color[~own], return_inverse=True)
-    of, outside_color, outside = outside // (COLOR_PLACES * n), outside // n % COLOR_PLACES, outside % n
-    outside_begin = np.searchsorted(of, np.arange(blocks + 1))
-    sizes = np.diff(begin) + np.diff(outside_begin)
-    if sizes.max(initial=0) >= PLACES:
+    ends = np.r_[0, np.cumsum(np.bincount(corner_place.ravel(), minlength=n))]
+    owner = patch_at[corner_place[tet, corner]]
+    by_color = inverse_of(np.argsort(color[order], kind="stable"))
+    tables = local_tables(order, begin, owner, corner_place[tet], by_color, PLACES - 1)
+    if tables is None:
         return None
-    local_begin = np.r_[0, np.cumsum(sizes)]
-    own_end = local_begin[:-1] + np.diff(begin)
-    local, slot_begin = np.zeros(local_begin[-1], np.int64), np.zeros(local_begin[-1] + 1, np.int64)
-    mine = np.arange(n) - begin[patch_at] + local_begin[patch_at]
-    local[mine], slot_begin[mine] = order, ends[:-1]
+    local_begin, own_end = tables["local_begin"], tables["own_end"]
+    slot_begin = np.zeros(local_begin[-1] + 1, np.int64)
+    slot_begin[tables["mine"]] = ends[:-1]
     slot_begin[own_end] = ends[begin[1:]]  # the place after a patch's last own vertex
-    theirs = np.arange(len(outside)) - outside_begin[of] + own_end[of]
-    local[theirs] = order[outside]
-    corners = at - begin[owner][:, None]
-    corners[~own] = (theirs - local_begin[of])[index]
     counts, others = (np.zeros((blocks, COLOR_PLACES), np.int64) for _ in range(2))  # of colour -1 first
     np.add.at(counts, (patch_at, color[order] + 1), 1)
-    np.add.at(others, (of, outside_color), 1)
+    np.add.at(others, (tables["others_patch"], color[order][tables["others"]] + 1), 1)
     return {
+        **tables,
         "colors": int(color.max(initial=-1)) + 1,
-        "local": local,
-        "local_begin": local_begin,
-        "own_end": own_end,
         "own_begin": np.cumsum(counts, axis=1),
         "others_begin": np.cumsum(others, axis=1) + (own_end - local_begin[:-1])[:, None],
         "slot_begin": slot_begin,
         "tet": tet,
         "corner": corner,
-        "corners": corners,
+        "corners": tables["corner"],
     }

@@ -202,7 +202,7 @@ class VBDSubsteps:
         self.color_begin = g.scalar(MAX_COLORS + 1, dtype=ti.i32)
         self.corner = g.scalar(4 * state.T, dtype=ti.i32)  # 4 t + k of each slot (sim/elastic/energy.py)
         g.build()
-        self.modal = ModalCorrection(state, elasticity, blocks, d.target, d.reaction, d.contact_stiffness)
+        self.modal = ModalCorrection(state, elasticity, blocks, d)
         self._upload = Upload([self.order, self.corner, self.color_begin])
         self.colors = 0
         self.kernels: tuple | None = None

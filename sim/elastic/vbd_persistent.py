@@ -6,8 +6,9 @@ each; then come the phases of the constraints, and the modal correction (sim/ela
 
 import taichi as ti
 
+from core.fields import FieldGroup
 from sim.elastic.energy import Elasticity
-from sim.elastic.modal_correction import ModalCorrection, ModalWarps
+from sim.elastic.modal_correction import MODES, ModalCorrection
 from sim.elastic.patches import LAG, LAM, MU, OTHERS, OWN, PLACES, POINTS, RESIDENT, WORDS, ColorPatches
 from sim.elastic.substep import (
     ALL_PASSES,
@@ -25,6 +26,7 @@ from sim.state import State
 from sim.time_step import SWEEPS
 
 LANES = 8  # threads that share the tets of a vertex
+ALL_COLORS = -1
 
 
 @ti.data_oriented
@@ -51,8 +53,11 @@ class PersistentVBD:
         self.patches = ColorPatches(state, self.grid.blocks)
         self.descent = d = VertexDescent(state, constraints, rigid)
         self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
-        self.modal = ModalCorrection(state, elasticity, blocks, d.target, d.reaction, d.contact_stiffness)
-        self.warps = ModalWarps(self.modal, self.descent, self.grid)
+        self.modal = ModalCorrection(state, elasticity, blocks, d, self.grid.warp)
+        g = self._group = FieldGroup()
+        # Point of each body about which moments are summed: of the last substep, because x is just being moved
+        self.origin = g.vector(MAX_BODIES)
+        g.build()
 
     def load(self, model: Model) -> None:
         """Take other bodies."""
@@ -80,7 +85,8 @@ class PersistentVBD:
             if s.awake_vertex(i) and not any_active(self):  # the sums of the last constraints act no more
                 self.descent.release(i)
         for b in range(MAX_BODIES):
-            self.warps.begin(b)
+            if b < s.body_count[None]:
+                self.origin[b] = s.x[s.vertex_begin[b]]
         self.patches.list_awake()
         ti.loop_config(block_dim=self.grid.block)
         for thread in range(self.grid.threads):
@@ -97,105 +103,156 @@ class PersistentVBD:
 
     @ti.func
     def _stay(self, thread, substeps, colors, points: ti.template(), words: ti.template()):
-        """All substeps of one thread."""
-        s, p, w, block = self.state, self.patches, self.warps, ti.static(self.grid.block)
-        own, first, rounds, paired = thread % block, thread // block, 0, any_active(self)
-        mine = (p.awake_count[None] - first + self.grid.blocks - 1) // self.grid.blocks  # patches of this block
-        several = p.awake_count[None] > RESIDENT * self.grid.blocks  # then they have to be fetched again and again
-        resident = ti.min(mine, RESIDENT)
-        self._enter(first, resident, own, colors, points, words)
+        """All substeps of one thread: end one and begin the next, descend colour by colour, move along the modes.
+
+        What a thread passes on is read after the next `meet` of all threads, or `sync` of its block.
+        """
+        s, p, blocks = self.state, self.patches, self.grid.blocks
+        rounds, paired = 0, any_active(self)
+        mine = (p.awake_count[None] - thread // self.grid.block + blocks - 1) // blocks  # patches of this block
+        several = p.awake_count[None] > RESIDENT * blocks  # then they have to be fetched again and again
+        self._enter(thread, 0, ti.min(mine, RESIDENT), colors, points, words)
         for n in range(substeps + 1):
-            w.turn(thread, n > 0, n < substeps)
+            self._turn(thread, n > 0, n < substeps)
             rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
             if n < substeps:
-                self._find_contacts(first, mine, own)
-                if not several:
-                    self._stage(resident, own, points, words)
+                self._find_contacts(thread, mine)
+                self._stage(thread, mine, several, ALL_COLORS, points, words)
                 if paired:
                     evaluate_candidates(self, thread)
-                w.fit_rotations(thread)
-                self.grid.sync()
-                for sweep in range(self.iterations):
-                    for turn in range(colors):
-                        color = turn if sweep % 2 == 0 else colors - 1 - turn
-                        k = 0
-                        while k < mine:
-                            here = self._turn_to(k, mine, several, first, own, colors, points, words)
-                            self._sweep(here, own, color, points, words)
-                            k += RESIDENT
-                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
-                        if not several:
-                            self._stage_color(resident, own, color, points, words)
-                        self.grid.sync()
-                    if paired:
-                        rounds = self._pairs(thread, rounds, sweep == self.iterations - 1)
-                        if not several:
-                            self._stage(resident, own, points, words)
-                        self.grid.sync()
-                for trial in range(2):  # the residual before the step along the modes, then after it
-                    k = 0
-                    while k < mine:
-                        here = self._turn_to(k, mine, several, first, own, colors, points, words)
-                        self._residual(here, own, colors, trial, points, words)
-                        k += RESIDENT
-                    rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
-                    if trial == 0:
-                        w.project(thread)
-                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
-                        w.find_amplitudes(thread)
-                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
-                        w.find_step(thread)
-                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
-                        w.move(thread)
-                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
-                        if not several:
-                            self._stage(resident, own, points, words)
-                        self.grid.sync()
-                    else:
-                        w.measure(thread)
-                        rounds = self.grid.meet(thread, rounds, s.substep_index, 1)
+                self._fit_rotations(thread)
+                rounds = self._descend(thread, rounds, mine, several, paired, colors, points, words)
+                rounds = self._correct(thread, rounds, mine, several, colors, points, words)
 
     @ti.func
-    def _turn_to(self, k, mine, several, first, own, colors, points: ti.template(), words: ti.template()):
+    def _turn(self, thread, ends, begins):
+        """End a substep, begin the next one: shorten the last step, commit, predict; and the moments for rotations."""
+        s, m = self.state, self.modal
+        j, lane = self.grid.warp_index(thread), thread % self.grid.warp
+        while j < m.blocks.begin[s.body_count[None]]:
+            span = m.blocks.span[j]
+            if not s.asleep[span[2]]:
+                kept = 1.0
+                if ends:
+                    kept = m.shortening(span[2], lane)
+                i = span[0] + lane
+                while i < span[1]:
+                    predicted = s.dx_predicted[i]
+                    if ends:
+                        predicted = self.descent.end(i, s.dx[i] + (kept - 1.0) * m.step[i])
+                    if begins:
+                        self.descent.begin(i, predicted)
+                    i += self.grid.warp
+                if begins:
+                    m.sum_moments(j, self.origin[span[2]], lane)
+            j += self.grid.warps
+
+    @ti.func
+    def _fit_rotations(self, thread):
+        """R of each body, by a warp each."""
+        s, b = self.state, self.grid.warp_index(thread)
+        while b < s.body_count[None]:
+            self.origin[b] = s.x[s.vertex_begin[b]]  # all threads of the warp write the same
+            self.modal.fit_rotation(b, thread % self.grid.warp)
+            b += self.grid.warps
+
+    @ti.func
+    def _descend(self, thread, rounds, mine, several, paired, colors, points: ti.template(), words: ti.template()):
+        """The sweeps: a barrier for each colour, then the phases of the constraints. Returns as `meet`."""
+        passed = rounds
+        for sweep in range(self.iterations):
+            for turn in range(colors):
+                color = turn if sweep % 2 == 0 else colors - 1 - turn  # there and back: no direction is favoured
+                k = 0
+                while k < mine:
+                    here = self._turn_to(thread, k, mine, several, colors, points, words)
+                    self._sweep(thread, here, color, points, words)
+                    k += RESIDENT
+                passed = self.grid.meet(thread, passed, self.state.substep_index, 0)
+                self._stage(thread, mine, several, color, points, words)
+            if paired:
+                passed = self._pairs(thread, passed, sweep == self.iterations - 1)
+                self._stage(thread, mine, several, ALL_COLORS, points, words)
+        return passed
+
+    @ti.func
+    def _correct(self, thread, rounds, mine, several, colors, points: ti.template(), words: ti.template()):
+        """The step along the modes, and its measure, which `_turn` shortens it by. Returns as `meet`."""
+        s, passed = self.state, rounds
+        for trial in range(2):  # the residual before the step, then after it
+            k = 0
+            while k < mine:
+                here = self._turn_to(thread, k, mine, several, colors, points, words)
+                self._residual(thread, here, colors, trial, points, words)
+                k += RESIDENT
+            passed = self.grid.meet(thread, passed, s.substep_index, 0)
+            if trial == 0:
+                self._each_block(thread, self.modal.project)
+                passed = self.grid.meet(thread, passed, s.substep_index, 0)
+                bk = self.grid.warp_index(thread)
+                while bk < s.body_count[None] * MODES:
+                    self.modal.find_amplitude(bk, thread % self.grid.warp)
+                    bk += self.grid.warps
+                passed = self.grid.meet(thread, passed, s.substep_index, 0)
+                self._each_block(thread, self.modal.find_step)
+                passed = self.grid.meet(thread, passed, s.substep_index, 0)
+                self._each_block(thread, self.modal.move)
+                passed = self.grid.meet(thread, passed, s.substep_index, 0)
+                self._stage(thread, mine, several, ALL_COLORS, points, words)
+            else:
+                self._each_block(thread, self.modal.measure)
+                passed = self.grid.meet(thread, passed, s.substep_index, 1)
+        return passed
+
+    @ti.func
+    def _each_block(self, thread, step: ti.template()):
+        """Take a step of the modal correction for all blocks of vertices that are awake, by a warp each."""
+        j, blocks = self.grid.warp_index(thread), self.modal.blocks
+        while j < blocks.begin[self.state.body_count[None]]:
+            if not self.state.asleep[blocks.span[j][2]]:
+                step(j, thread % self.grid.warp)
+            j += self.grid.warps
+
+    @ti.func
+    def _turn_to(self, thread, k, mine, several, colors, points: ti.template(), words: ti.template()):
         """Go on to the block's patches from number k on, and fetch them unless they are here; returns their number."""
         resident = ti.min(mine - k, RESIDENT)
         if several:
-            self._enter(first + k * self.grid.blocks, resident, own, colors, points, words)
+            self._enter(thread, k, resident, colors, points, words)
         return resident
 
     @ti.func
-    def _enter(self, first, resident, own, colors, points: ti.template(), words: ti.template()):
-        """Fetch all of so many awake patches to shared memory: the first one, and others one from each round."""
-        p = self.patches
+    def _enter(self, thread, k, resident, colors, points: ti.template(), words: ti.template()):
+        """Fetch all of so many of the block's awake patches, from number k on, to shared memory."""
+        p, block = self.patches, ti.static(self.grid.block)
         self.grid.sync()
         for r in range(resident):
-            p.enter(p.awake[first + r * self.grid.blocks], r, own, self.grid.block, colors, points, words)
+            p.enter(
+                p.awake[thread // block + (k + r) * self.grid.blocks], r, thread % block, block, colors, points, words
+            )
         self.grid.sync()
 
     @ti.func
-    def _stage(self, resident, own, points: ti.template(), words: ti.template()):
-        """Fetch the positions of all vertices of the resident patches. Each has an equal share of the threads."""
-        p, share = self.patches, self._share(self.grid.block, resident, 1)
-        r = own // share
-        while r < resident:
-            at, end = r * PLACES + own % share, r * PLACES + p.count_of(r, words)
-            while at < end:
-                p.stage(at, r, points, words)
-                at += share
-            r += self.grid.block // share
+    def _stage(self, thread, mine, several, color, points: ti.template(), words: ti.template()):
+        """Fetch the positions of the resident patches, unless they are fetched as a whole in each turn.
 
-    @ti.func
-    def _stage_color(self, resident, own, color, points: ti.template(), words: ti.template()):
-        """Fetch the positions of those of this colour that belong to other patches."""
-        p, share = self.patches, self._share(self.grid.block, resident, 1)
-        r = own // share
-        while r < resident:
-            begin, end = p.color_range(OTHERS, r, color, words)
-            at = begin + own % share
-            while at < end:
-                p.stage(at, r, points, words)
-                at += share
-            r += self.grid.block // share
+        Of ALL_COLORS those of all vertices, else of those of this colour that belong to other patches. Each patch has
+        an equal share of the threads.
+        """
+        if not several:
+            p, own, resident = self.patches, thread % self.grid.block, ti.min(mine, RESIDENT)
+            share = self._share(self.grid.block, resident, 1)
+            r = own // share
+            while r < resident:
+                begin, end = r * PLACES, r * PLACES + p.count_of(r, words)
+                if color != ALL_COLORS:
+                    begin, end = p.color_range(OTHERS, r, color, words)
+                at = begin + own % share
+                while at < end:
+                    p.stage(at, r, points, words)
+                    at += share
+                r += self.grid.block // share
+        self.grid.sync()
 
     @ti.func
     def _share(self, workers, resident, together: ti.template()):
@@ -203,15 +260,15 @@ class PersistentVBD:
         return ti.max(workers // ti.max(resident, 1) // together, 1) * together
 
     @ti.func
-    def _find_contacts(self, first, mine, own):
+    def _find_contacts(self, thread, mine):
         """Evaluate static contacts of the vertices of the block's own patches."""
-        p, k = self.patches, 0
+        p, own, k = self.patches, thread % self.grid.block, 0
         while k < mine:
             resident = ti.min(mine - k, RESIDENT)
             share = self._share(self.grid.block, resident, 1)
             r = own // share
             while r < resident:
-                patch = p.awake[first + (k + r) * self.grid.blocks]
+                patch = p.awake[thread // self.grid.block + (k + r) * self.grid.blocks]
                 at = p.local_begin[patch] + own % share
                 while at < p.own_end[patch]:
                     self.descent.find_contacts(p.local[at])
@@ -220,11 +277,11 @@ class PersistentVBD:
             k += RESIDENT
 
     @ti.func
-    def _sweep(self, resident, own, color, points: ti.template(), words: ti.template()):
+    def _sweep(self, thread, resident, color, points: ti.template(), words: ti.template()):
         """Move the resident patches' own vertices of a colour."""
         p, groups = self.patches, ti.static(self.grid.block // self.lanes)
         share = self._share(groups, resident, ti.static(self.grid.warp // self.lanes))  # a warp has one patch
-        group, lane = own // self.lanes, own % self.lanes
+        group, lane = thread % self.grid.block // self.lanes, thread % self.lanes
         r = group // share
         while r < resident:
             begin, end = p.color_range(OWN, r, color, words)
@@ -255,11 +312,11 @@ class PersistentVBD:
             r += groups // share
 
     @ti.func
-    def _residual(self, resident, own, colors, trial, points: ti.template(), words: ti.template()):
+    def _residual(self, thread, resident, colors, trial, points: ti.template(), words: ti.template()):
         """Residual force of each of the resident patches' own vertices."""
-        s, p, groups = self.state, self.patches, ti.static(self.grid.block // self.lanes)
+        s, p, d, groups = self.state, self.patches, self.descent, ti.static(self.grid.block // self.lanes)
         share = self._share(groups, resident, ti.static(self.grid.warp // self.lanes))
-        group, lane = own // self.lanes, own % self.lanes
+        group, lane = thread % self.grid.block // self.lanes, thread % self.lanes
         r = group // share
         while r < resident:
             begin = r * PLACES
@@ -279,7 +336,14 @@ class PersistentVBD:
                 for c in ti.static(range(3)):
                     f[c] = self.grid.sum_lanes(f[c], self.lanes)
                 if lane == 0 and at < end:
-                    self.warps.set_residual(p.vertex(at, words), f, trial)
+                    i = p.vertex(at, words)
+                    f += d.reaction[i] + s.mass[i] / s.dt[None] ** 2 * (d.target[i] - s.dx[i])
+                    if s.inv_mass[i] == 0.0:
+                        f = ti.Vector([0.0, 0.0, 0.0])
+                    if trial == 0:
+                        self.modal.force[i] = self.modal.rotation[s.body_of_vertex[i]].transpose() @ f
+                    else:
+                        self.modal.set_products(i, f)
             r += groups // share
 
     @ti.func
@@ -296,5 +360,5 @@ class PersistentVBD:
         return passed
 
     def destroy(self) -> None:
-        for part in (self.grid, self.patches, self.descent, self.modal, self.warps):
+        for part in (self.grid, self.patches, self.descent, self.modal, self._group):
             part.destroy()

@@ -52,12 +52,13 @@ class ModalCorrection:
     A block is a run of at most 64 vertices of one body (ReductionBlocks). In a persistent kernel a warp takes a block,
     and all threads meet between the steps, which are, after a substep's last sweep:
 
-        sum_moments, fit_rotation   R of each body (in the persistent kernel before the sweeps: x stays)
-                                    force: R^T f of each vertex
-        project, find_amplitude     q_k
-        find_step, move             d, and dx += b d
-        set_products, measure       the sums of the secant
-        shortening                  a / b
+        sum_moments, fit_rotation             R of each body (a persistent kernel does it before the sweeps: x stays)
+                                              force: R^T f of each vertex
+        project, find_amplitude               q_k
+        find_step, sum_products, find_trial   d, and b
+        move                                  dx += b d
+        set_products, sum_products            the sums of the secant
+        shortening                            a / b
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class ModalCorrection:
         self.product = g.scalar(V, 2)  # f . d, then the terms of the secant's two sums [J]
         self.product_sums = g.scalar(N, 2)  # of the blocks
         self.mode_sums = g.scalar(N, MODES)  # of the blocks
-        self.trial = g.scalar(B)  # b
+        self.trial, self.step_scale = g.scalar(B), g.scalar(B)  # b, and a / b
         g.build()
         self._upload = Upload([self.mode, self.frequency_sqr])
 
@@ -144,24 +145,36 @@ class ModalCorrection:
                 if s.awake_body(bk // MODES):
                     self.find_amplitude(bk, 0)
             ti.loop_config(serialize=s.serial)
-            for j in range(blocks.size):
-                if self._awake(j):
-                    self.find_step(j, 0)
+            for i in range(s.V):
+                if s.awake_vertex(i):
+                    self.find_step(i)
             ti.loop_config(serialize=s.serial)
             for j in range(blocks.size):
                 if self._awake(j):
-                    self.move(j, 0)
+                    self.sum_products(j, 0)
+            ti.loop_config(serialize=s.serial)
+            for b in range(MAX_BODIES):
+                if s.awake_body(b):
+                    self.trial[b] = self.find_trial(b, 0)
+            ti.loop_config(serialize=s.serial)
+            for i in range(s.V):
+                if s.awake_vertex(i):
+                    self.move(i, self.trial[s.body_of_vertex[i]])
 
         @ti.kernel
         def shorten():
             ti.loop_config(serialize=s.serial)
             for j in range(blocks.size):
                 if self._awake(j):
-                    self.measure(j, 0)
+                    self.sum_products(j, 0)
+            ti.loop_config(serialize=s.serial)
+            for b in range(MAX_BODIES):
+                if s.awake_body(b):
+                    self.step_scale[b] = self.shortening(b, 0)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if s.awake_vertex(i):
-                    s.dx[i] += (self.shortening(s.body_of_vertex[i], 0) - 1.0) * self.step[i]
+                    s.dx[i] += (self.step_scale[s.body_of_vertex[i]] - 1.0) * self.step[i]
 
         return [fit_rotations, set_forces, move, set_products, shorten]
 
@@ -265,41 +278,18 @@ class ModalCorrection:
             self.amplitude[bk] = total / (1.0 / self.state.dt[None] ** 2 + self.frequency_sqr[bk])
 
     @ti.func
-    def find_step(self, j, lane):
-        """d of the vertices of block j, and its sums of f . d and h."""
-        s, span = self.state, self.blocks.span[j]
-        gain, h = 0.0, 0.0
-        i = span[0] + lane
-        while i < span[1]:
-            d = ti.Vector([0.0, 0.0, 0.0])
-            for k in range(MODES):
-                d += self.amplitude[span[2] * MODES + k] * self.mode[k * s.vertex_count[None] + i]
-            product = d.dot(self.force[i])
-            gain += product
-            h += self.descent.contact_stiffness[i] * d.norm_sqr()
-            self.product[i, 0] = product
-            self.step[i] = self.rotation[span[2]] @ d
-            i += self.lanes
-        self._write_sums(j, lane, gain, h)
+    def find_step(self, i):
+        """d of vertex i, and its terms of f . d and h."""
+        s, b, d = self.state, self.state.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
+        for k in range(MODES):
+            d += self.amplitude[b * MODES + k] * self.mode[k * s.vertex_count[None] + i]
+        self.product[i, 0] = d.dot(self.force[i])
+        self.product[i, 1] = self.descent.contact_stiffness[i] * d.norm_sqr()
+        self.step[i] = self.rotation[b] @ d
 
     @ti.func
-    def move(self, j, lane):
-        """Move the vertices of block j by b d."""
-        s, span = self.state, self.blocks.span[j]
-        gain, h = self._body_sum(span[2], 0, lane), self._body_sum(span[2], 1, lane)
-        b = gain / ti.max(gain + h, 1e-30) if gain > 0.0 else 0.0
-        if lane == 0 and j == self.blocks.begin[span[2]]:
-            self.trial[span[2]] = b
-        i = span[0] + lane
-        while i < span[1]:
-            d = b * self.step[i]
-            self.step[i] = d
-            s.dx[i] += d
-            i += self.lanes
-
-    @ti.func
-    def measure(self, j, lane):
-        """Sums of the secant over block j."""
+    def sum_products(self, j, lane):
+        """Sums of the products of block j."""
         span = self.blocks.span[j]
         for k in ti.static(range(2)):
             total, i = 0.0, span[0] + lane
@@ -309,6 +299,19 @@ class ModalCorrection:
             total = self._sum(total)
             if lane == 0:
                 self.product_sums[j, k] = total
+
+    @ti.func
+    def find_trial(self, b, lane):
+        """The b of a body's step, in all lanes."""
+        gain, h = self._body_sum(b, 0, lane), self._body_sum(b, 1, lane)
+        return gain / ti.max(gain + h, 1e-30) if gain > 0.0 else 0.0
+
+    @ti.func
+    def move(self, i, b):
+        """Move vertex i by b d."""
+        d = b * self.step[i]
+        self.step[i] = d
+        self.state.dx[i] += d
 
     @ti.func
     def shortening(self, b, lane):

@@ -194,13 +194,13 @@ class PersistentVBD:
                     self.modal.find_amplitude(bk, thread % self.grid.warp)
                     bk += self.grid.warps
                 passed = self.grid.meet(thread, passed, s.substep_index, 0)
-                self._each_block(thread, self.modal.find_step)
+                self._each_block(thread, self._find_step)
                 passed = self.grid.meet(thread, passed, s.substep_index, 0)
-                self._each_block(thread, self.modal.move)
+                self._each_block(thread, self._move)
                 passed = self.grid.meet(thread, passed, s.substep_index, 0)
                 self._stage(thread, mine, several, ALL_COLORS, points, words)
             else:
-                self._each_block(thread, self.modal.measure)
+                self._each_block(thread, self.modal.sum_products)
                 passed = self.grid.meet(thread, passed, s.substep_index, 1)
         return passed
 
@@ -212,6 +212,27 @@ class PersistentVBD:
             if not self.state.asleep[blocks.span[j][2]]:
                 step(j, thread % self.grid.warp)
             j += self.grid.warps
+
+    @ti.func
+    def _find_step(self, j, lane):
+        """d of the vertices of block j, and its sums; each lane sums what it has written itself."""
+        i = self.modal.blocks.span[j][0] + lane
+        while i < self.modal.blocks.span[j][1]:
+            self.modal.find_step(i)
+            i += self.grid.warp
+        self.modal.sum_products(j, lane)
+
+    @ti.func
+    def _move(self, j, lane):
+        """Move the vertices of block j by the trial's step, of which all warps of a body find the same length."""
+        m, span = self.modal, self.modal.blocks.span[j]
+        b = m.find_trial(span[2], lane)
+        if lane == 0 and j == m.blocks.begin[span[2]]:
+            m.trial[span[2]] = b
+        i = span[0] + lane
+        while i < span[1]:
+            m.move(i, b)
+            i += self.grid.warp
 
     @ti.func
     def _turn_to(self, thread, k, mine, several, colors, points: ti.template(), words: ti.template()):

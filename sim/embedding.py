@@ -248,13 +248,6 @@ class Embedding:
         if self.count:
             self._deform(x, mean, cov, rotation)
 
-    @property
-    def bytes_moved(self) -> int:
-        """Bytes that a call of `deform` reads and writes, but for the vertices, which stay in a cache."""
-        slices, slots = self._starts[-1]
-        written = 12 + 24 + (16 if self.with_rotation else 0)
-        return 20 * SLICE_LANES * slots + (4 + 4 + 24) * SLICE_LANES * slices + written * self.count
-
     def destroy(self) -> None:
         """Free the device memory."""
         if self.fields is not None:

@@ -323,12 +323,6 @@ class ModalCorrection:
         return kept
 
     @ti.func
-    def _write_sums(self, j, lane, a, b):
-        a_total, b_total = self._sum(a), self._sum(b)
-        if lane == 0:
-            self.product_sums[j, 0], self.product_sums[j, 1] = a_total, b_total
-
-    @ti.func
     def _body_sum(self, b, k: ti.template(), lane):
         """Sum k of `product_sums` over body b, in all lanes."""
         total, j = 0.0, self.blocks.begin[b] + lane

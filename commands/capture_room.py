@@ -47,8 +47,6 @@ OBJECTS = cli.OneOf()
 
 @dataclass(kw_only=True)
 class CaptureOptions(cli.Options):
-    """Options of `capture`."""
-
     EXAMPLES = (
         "capture bear/ --marks marks.json --out bear_room/          then: python vrgs.py --scene bear_room/",
         "capture kitchen.mp4 --no-objects --out kitchen/            only the room; needs pycolmap",
@@ -59,14 +57,10 @@ class CaptureOptions(cli.Options):
         cli.Condition(("--lama", "--vertices", "--material"), lambda o: not o.no_objects, "is not for --no-objects"),
     )
 
-    capture: Path = cli.argument(
-        "CAPTURE", "folder with transforms.json or a COLMAP model, a transforms.json, folder of photographs, or a video"
-    )
-    out: Path = cli.option("ROOM/", "folder of the room; an interrupted run resumes there", required=True)
+    capture: Path = cli.argument("CAPTURE", f"{cli.CAPTURES}, folder of photographs, or a video")
+    out: Path = cli.option("ROOM/", "folder of the room; an interrupted run resumes there", cli.REQUIRED)
     marks: Path | None = cli.option(
-        "MARKS.json",
-        "marks of objects in some photographs (default: CAPTURE/marks.json, else CAPTURE/masks, else a window opens)",
-        one_of=OBJECTS,
+        "MARKS.json", "marks of objects (default: CAPTURE/marks.json, else /masks, else a window opens)", one_of=OBJECTS
     )
     masks: Path | None = cli.option("FOLDER", "folder of masks, one colour per object", one_of=OBJECTS)
     no_objects: bool = cli.switch("only the room; nothing in it can be grabbed", one_of=OBJECTS)
@@ -74,20 +68,12 @@ class CaptureOptions(cli.Options):
         ("A", "B", "M"),
         "two points, each PHOTOGRAPH:x,y [px] or x,y,z in the capture, and their distance [m] (default: guessed scale)",
     )
-    steps: cli.Count | None = cli.option(
-        "N", f"steps of the training (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU)"
-    )
+    steps: cli.Count | None = cli.option("N", f"steps of the training (default {cli.by_device(STEPS)})")
     reduce: cli.Count = cli.reduce_option("the photographs")
-    cap: cli.Count | None = cli.option(
-        "N", f"upper limit of Gaussians (default {train.CAPS['cuda']:,} on a GPU, {train.CAPS['cpu']:,} on a CPU)"
-    )
+    cap: cli.Count | None = cli.option("N", f"upper limit of Gaussians (default {cli.by_device(train.CAPS)})")
     vertices: cli.Count | None = cli.option("N", "vertices of each object's cage (default: as suits the device)")
-    material: str | None = cli.option(
-        "NAME", "material of all objects (default: plush, light enough to lift; see: vrgs.py materials)"
-    )
-    lama: Path | None = cli.option(
-        "FILE.onnx", "LaMa network that fills the holes behind objects (default: patch synthesis)"
-    )
+    material: str | None = cli.option("NAME", "material of all objects (default plush; see: vrgs.py materials)")
+    lama: Path | None = cli.option("FILE.onnx", "LaMa network that fills the holes (default: patch synthesis)")
     cell: cli.Amount | None = cli.option("M", "spacing of the room's distance grid (default: by size)")
     seed: int = cli.seed_option()
     arch: cli.Arch | None = cli.arch_option()

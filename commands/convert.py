@@ -21,8 +21,6 @@ PROGRESS_SIZE_MIN = 20 << 20  # [bytes] of input; less takes about a second
 
 @dataclass(kw_only=True)
 class ConvertOptions(cli.Options):
-    """Options of `convert`."""
-
     EXAMPLES = ("convert cat.sog cat.spz",)
 
     input: Path = cli.argument("IN", f"{cli.SPLATS} or .h5")

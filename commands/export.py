@@ -5,18 +5,18 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from assets.file_access import check_writable
 from commands import options as cli
 from commands.play import PREPARATION, STATE, PlayOptions, SceneOptions, open_session
 from core.errors import BadInput
 
+Kind = Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"]
+
 
 @dataclass(kw_only=True)
 class ExportOptions(SceneOptions):
-    """Options of `export`."""
-
     EXAMPLES = (
         "export --scene ring_toss --frames 90 --out toss.ply",
         "export --scene ring_toss --every 2 --out toss/ --format spz",
@@ -32,14 +32,10 @@ class ExportOptions(SceneOptions):
     )
 
     out: Path = cli.option(
-        "FILE|DIR",
-        "file of the last frame (.ply, .compressed.ply, .spz, .splat, .vtu, .obj), or folder of a sequence",
-        required=True,
+        "FILE|DIR", f"file of the last frame (.{', .'.join(get_args(Kind))}), or folder of a sequence", cli.REQUIRED
     )
     every: cli.Count | None = cli.option("N", "sequence: every N-th frame, of 60 a second (default 2)")
-    format: Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"] = cli.option(
-        None, "sequence: kind of its files (default ply)", "ply"
-    )
+    format: Kind = cli.option(None, "sequence: kind of its files (default ply)", "ply")
     only: str | None = cli.option("BODY", "one body, by its number or the name of its asset")
     no_shadows: bool = cli.switch("splats: colours as in full light")
 

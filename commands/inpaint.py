@@ -21,8 +21,6 @@ WHICH = cli.OneOf(required=True)
 
 @dataclass(kw_only=True)
 class InpaintOptions(cli.Options):
-    """Options of `inpaint`."""
-
     EXAMPLES = (
         "inpaint room.ply --remove bear --capture room/ --out empty.ply",
         "inpaint room.ply --remove 1 2 --out empty.ply             without photographs",
@@ -39,26 +37,17 @@ class InpaintOptions(cli.Options):
     objects: list[Path] | None = cli.option(
         "FILE", "splats of objects that SCENE no longer contains, as `train --split` writes them", one_of=WHICH
     )
-    out: Path = cli.option("OUT", "OUT.ply, .spz, .splat, .compressed.ply", required=True)
+    out: Path = cli.option("OUT", "OUT.ply, .spz, .splat, .compressed.ply", cli.REQUIRED)
     capture: Path | None = cli.option(
-        "CAPTURE",
-        "the capture that SCENE was trained on: what no photograph shows is filled; "
-        "default: what is empty under OBJECT",
+        "CAPTURE", "what SCENE was trained on: fills what no photograph shows (default: what is empty under OBJECT)"
     )
     lama: Path | None = cli.option(
-        "FILE.onnx",
-        "LaMa network with inputs image (1, 3, 512, 512) and mask (1, 1, 512, 512) in 0..1 (default: patch synthesis)",
+        "FILE.onnx", "LaMa network, image (1, 3, 512, 512) and mask (1, 1, 512, 512) in 0..1 (default: patch synthesis)"
     )
-    keep_shadow: bool = cli.switch(
-        "leave the object's shadow; default: its surroundings get back the light that it took"
-    )
+    keep_shadow: bool = cli.switch("leave the object's shadow (default: its surroundings get their light back)")
     steps: cli.Count | None = cli.option("N", "training steps of the new Gaussians (default 200)")
-    report: Path | None = cli.option(
-        "R.json", "write the results as JSON, and a page and a picture (before, after) beside it"
-    )
-    truth: Path | None = cli.option(
-        "FOLDER", "photographs without the object, named as in the capture, for the PSNR in the report"
-    )
+    report: Path | None = cli.option("R.json", "write the results as JSON, a page and a picture (before, after)")
+    truth: Path | None = cli.option("FOLDER", "--report: photographs without the object, named as in the capture")
     reduce: cli.Count = cli.reduce_option("the truth")
     arch: cli.Arch | None = cli.arch_option()
 

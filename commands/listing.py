@@ -11,15 +11,11 @@ from scenes import registry
 
 @dataclass(kw_only=True)
 class ScenesOptions(cli.Options):
-    """`scenes` takes no options."""
-
     EXAMPLES = ("scenes",)
 
 
 @dataclass(kw_only=True)
 class MaterialsOptions(cli.Options):
-    """`materials` takes no options."""
-
     EXAMPLES = ("materials",)
 
 

@@ -6,7 +6,7 @@ import importlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -30,6 +30,9 @@ SUBJECTS = {
     "popping": ("bench.popping", "flicker when the head turns, by sort mode"),
     "train": ("bench.training_speed", "training on captures: quality, speed, memory, time by stage"),
 }
+DINING_ROOM = SHIPPED_FOLDER / "dining_room.h5"
+Act = Literal["drop", "throw", "squeeze", "stack"]
+RoomSize = Literal["0.305M", "1.313M", "2.526M"]
 NAMED = ("demos", "train")  # subjects that take names
 TAKERS = {  # subjects that take an option, of those that not all take
     ("demos",): ("--detail",),
@@ -46,8 +49,6 @@ TAKERS = {  # subjects that take an option, of those that not all take
 
 @dataclass(kw_only=True)
 class BenchOptions(cli.Options):
-    """Options of `bench`."""
-
     EXAMPLES = (
         "bench sim --json sim.json",
         "bench demos ring_toss --quick",
@@ -61,53 +62,32 @@ class BenchOptions(cli.Options):
     subject: Literal["sim", "scene", "render", "frame", "demos", "popping", "train"] = cli.argument(
         None, "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
     )
-    names: list[str] = cli.argument(
-        "NAME", "demos: which (default: all that are there); train: captures", optional=True
-    )
-    detail: Literal["shipped", "paper"] = cli.option(
-        None, "demos: assets as shipped, or at the paper's sizes (python -m studio --detail paper)", "shipped"
-    )
-    splats: Path = cli.option(
-        "SPLATS", "popping: splats to draw (default: the dining room)", SHIPPED_FOLDER / "dining_room.h5"
-    )
-    sizes: list[str] | None = cli.option(
-        "N", "numbers of vertices; sim: some of 1.7k 9.3k 24k 46k (default: all); scene: any (default: 10k 20k 46k)"
-    )
-    asset: list[str] | None = cli.option(
-        "FILE",
-        "scene: splats, prepared bodies (.h5), or ball, mug, ring, bunny, capsule (default: these five)",
-    )
+    names: list[str] = cli.argument("NAME", "demos: which (default: all that are there); train: captures", [])
+    detail: cli.Detail = cli.option(None, "demos: assets as shipped, or at the paper's sizes", "shipped")
+    splats: Path = cli.option("SPLATS", "popping: what to draw (default: the dining room)", DINING_ROOM)
+    sizes: list[str] | None = cli.option("N", "vertices; sim: of 1.7k 9.3k 24k 46k; scene: any (default 10k 20k 46k)")
+    asset: list[str] | None = cli.option("FILE", "scene: splats, bodies (.h5), or ball, mug, ring, bunny, capsule")
     materials: list[str] = cli.option("NAME", "scene: (default: plush rubber wood)", ["plush", "rubber", "wood"])
-    acts: list[Literal["drop", "throw", "squeeze", "stack"]] = cli.option(
-        None, "scene: (default: all)", ["drop", "throw", "squeeze", "stack"]
-    )
+    acts: list[Act] = cli.option(None, "scene: (default: all)", list(get_args(Act)))
     frames: cli.Count | None = cli.option("N", "scene, demos: a row (default 1000; quick 240, 30)")
     quick: bool = cli.switch("scene: one row, 2 s; demos: few frames")
-    bodies: Path | None = cli.option(
-        "DIR", "scene: folder of bodies that were made for it (default: in the user's cache)"
-    )
-    gaussians: list[Literal["0.305M", "1.313M", "2.526M"]] = cli.option(
-        None, "render: rooms (default: all)", ["0.305M", "1.313M", "2.526M"]
-    )
+    bodies: Path | None = cli.option("DIR", "scene: folder of bodies made for it (default: in the user's cache)")
+    gaussians: list[RoomSize] = cli.option(None, "render: rooms (default: all)", list(get_args(RoomSize)))
     size: cli.Size = cli.option("WxH", "render, demos: picture of an eye (default 1800x1920)", (1800, 1920))
-    rounds: cli.Count = cli.option("N", "frames measured (default 12)", 12)
+    rounds: cli.Count = cli.option("N", "sim, render: frames measured (default 12)", 12)
     steps: cli.Count | None = cli.option("N", "train: steps (default 30000 on a GPU, 3000 on a CPU)")
     at: list[cli.Count] = cli.option("N", "train: steps after which it is tested as well (default 7000)", [7000])
     reduce: cli.Count = cli.option("N", "train: divide the photographs' sides by N", 1)
     test_every: cli.Count = cli.option("N", "train: keep every Nth photograph for the test (default 8)", 8)
     cap: cli.Count | None = cli.option("N", "train: most Gaussians (default as train's)")
     seed: int = cli.option("S", "train: seed of all random numbers", 0)
-    variants: list[str] = cli.option(
-        "V", "train: kinds of training, each `plain`, `fast` or like sparse=1,coarse=0.3 (default plain)", ["plain"]
-    )
+    variants: list[str] = cli.option("V", "train: each `plain`, `fast` or like sparse=1,coarse=0.3", ["plain"])
     json: Path | None = cli.option("OUT.json", "write the rows")
     arch: cli.Arch | None = cli.arch_option()
 
 
 @dataclass(kw_only=True)
 class CheckOptions(cli.Options):
-    """Options of `check`."""
-
     EXAMPLES = ("check --quick --json table.json",)
 
     quick: bool = cli.switch("minutes, not hours: fewer substeps, throws and seconds")
@@ -117,17 +97,10 @@ class CheckOptions(cli.Options):
 
 @dataclass(kw_only=True)
 class FiguresOptions(cli.Options):
-    """Options of `figures`."""
-
     EXAMPLES = ("figures --out figures", "figures --out /tmp/figures --quick")
 
-    out: Path = cli.option(
-        "DIR", "folder for figures.html, which holds all pictures, and figures.json, the numbers", required=True
-    )
-    capture: Path | None = cli.option(
-        "DIR",
-        "the figure of inpainting: a capture with the truth behind its objects (python -m studio --capture DIR)",
-    )
+    out: Path = cli.option("DIR", "folder of figures.html, with all pictures, and figures.json", cli.REQUIRED)
+    capture: Path | None = cli.option("DIR", "a capture with its truth (python -m studio --capture DIR): inpainting")
     quick: bool = cli.switch("small pictures, one demo, one toy: two minutes")
     arch: cli.Arch | None = cli.arch_option()
 
@@ -162,8 +135,6 @@ def figures(options: FiguresOptions) -> None:
 
 @dataclass(kw_only=True)
 class TuneOptions(cli.Options):
-    """Options of `tune`."""
-
     EXAMPLES = ("tune cat.h5 --from 3e3 --to 3e5 --out cat_tune.png",)
     CONDITIONS = (
         cli.Condition(("--from", "--to", "--steps"), lambda o: not o.young, "is for moduli that --young does not list"),
@@ -174,12 +145,8 @@ class TuneOptions(cli.Options):
     lowest: cli.Amount = cli.option("E", "without --young: lowest modulus (default 1e3)", 1e3, flag="--from")
     highest: cli.Amount = cli.option("E", "highest modulus (default 1e6)", 1e6, flag="--to")
     steps: cli.Count = cli.option("N", "number of moduli (default 6)", 6)
-    material: str | None = cli.option(
-        "NAME", "material whose modulus is varied (default: the asset's; see: vrgs.py materials)"
-    )
-    height: cli.Amount | None = cli.option(
-        "M", f"height of the drop (default: half the body's, at least {DROP_HEIGHT_MIN})"
-    )
+    material: str | None = cli.option("NAME", "material whose modulus is varied (default: the asset's)")
+    height: cli.Amount | None = cli.option("M", f"of the drop (default: half the body's, at least {DROP_HEIGHT_MIN})")
     out: Path | None = cli.option("STRIP.png", "strip of pictures (default: ASSET_tune.png)")
     json: Path | None = cli.option("OUT.json", "write the table")
     arch: cli.Arch | None = cli.arch_option()

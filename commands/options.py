@@ -3,7 +3,7 @@
     @dataclass(kw_only=True)
     class FilmOptions(Options):
         splats: Path = argument("SPLATS", "file to draw")
-        out: Path = option("OUT.mp4", "film to write", required=True)
+        out: Path = option("OUT.mp4", "film to write", REQUIRED)
         frames: Count | None = option("N", "number of pictures (default 180)")
         antialias: bool = switch("anti-aliased rendering")
 
@@ -25,8 +25,11 @@ from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origi
 from assets.file_access import PICTURES
 from core.errors import BadInput
 
+REQUIRED = MISSING  # default of an option that must be given
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json, a mesh (.obj, .glb, .stl, .ply with faces)"
-BACKGROUND_NAMES = {"grey": (0.12, 0.13, 0.14), "black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+CAPTURES = "folder with transforms.json or a COLMAP model, a transforms.json"
+GREY = (0.12, 0.13, 0.14)
+BACKGROUND_NAMES = {"grey": GREY, "black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -64,11 +67,11 @@ class Options:
                     raise BadInput(f"{flag} {condition.words}")
 
 
+@dataclass(frozen=True, eq=False)
 class OneOf:
     """Options of which one at most is given, or exactly one where it is `required`."""
 
-    def __init__(self, *, required: bool = False):
-        self.required = required
+    required: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,16 +87,22 @@ class Declaration:
     help: str
     positional: bool = False
     flag: str | None = None
-    required: bool = False
     one_of: OneOf | None = None
     bare: int | str | None = None
     repeat: bool = False
 
 
-def argument(metavar: str | None, help: str, *, optional: bool = False) -> Any:
-    """A value that is written without a flag; an optional one is a list, which may be empty."""
-    about = {"declaration": Declaration(metavar, help, positional=True)}
-    return field(default_factory=list, metadata=about) if optional else field(metadata=about)
+def declared(default: Any, declaration: Declaration) -> Any:
+    """A field of a command's dataclass."""
+    about = {"declaration": declaration}
+    if isinstance(default, list):
+        return field(default_factory=default.copy, metadata=about)
+    return field(default=default, metadata=about)
+
+
+def argument(metavar: str | None, help: str, default: Any = REQUIRED) -> Any:
+    """A value that is written without a flag."""
+    return declared(default, Declaration(metavar, help, positional=True))
 
 
 def option(
@@ -102,24 +111,17 @@ def option(
     default: Any = None,
     *,
     flag: str | None = None,
-    required: bool = False,
     one_of: OneOf | None = None,
     bare: int | str | None = None,
     repeat: bool = False,
 ) -> Any:
     """An option with a value; without a metavar its help names the choices."""
-    said = Declaration(metavar, help, flag=flag, required=required, one_of=one_of, bare=bare, repeat=repeat)
-    about = {"declaration": said}
-    if required:
-        return field(metadata=about)
-    if isinstance(default, list):
-        return field(default_factory=default.copy, metadata=about)
-    return field(default=default, metadata=about)
+    return declared(default, Declaration(metavar, help, flag=flag, one_of=one_of, bare=bare, repeat=repeat))
 
 
 def switch(help: str, *, one_of: OneOf | None = None) -> Any:
     """An option without a value: False unless it is given."""
-    return field(default=False, metadata={"declaration": Declaration(None, help, one_of=one_of)})
+    return declared(False, Declaration(None, help, one_of=one_of))
 
 
 def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
@@ -130,17 +132,15 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
         said: Declaration | None = f.metadata.get("declaration")
         if said is None:
             continue
-        taker = parser
-        if said.one_of is not None:
-            if said.one_of not in groups:
-                groups[said.one_of] = parser.add_mutually_exclusive_group(required=said.one_of.required)
-            taker = groups[said.one_of]
         form = {"help": said.help, "default": argparse.SUPPRESS, **value_form(hints[f.name], said, f)}
         if said.positional:
-            taker.add_argument(f.name, **form)
-        else:
-            flag = said.flag or f"--{f.name.replace('_', '-')}"
-            taker.add_argument(flag, dest=f.name, required=said.required, **form)
+            parser.add_argument(f.name, **form)
+            continue
+        if said.one_of is not None and said.one_of not in groups:
+            groups[said.one_of] = parser.add_mutually_exclusive_group(required=said.one_of.required)
+        needed = f.default is MISSING and f.default_factory is MISSING
+        flag = said.flag or f"--{f.name.replace('_', '-')}"
+        groups.get(said.one_of, parser).add_argument(flag, dest=f.name, required=needed, **form)
 
 
 def value_form(hint: Any, said: Declaration, f: Field) -> dict[str, Any]:
@@ -233,6 +233,8 @@ def picture_name(text: str) -> Path:
     return Path(text)
 
 
+Detail = Literal["shipped", "paper"]
+Setting = Literal["physics", "transform"]
 Arch = Literal["cuda", "cpu"]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Sort = Literal["z", "radial", "pixel"]  # render.SORTS; a test compares them
@@ -265,6 +267,11 @@ def sort_option(mode: str) -> Any:
     return option(None, f"{text} trained for, z for files from elsewhere; else {mode})")
 
 
+def by_device(numbers: dict[str, int]) -> str:
+    """A default that depends on the device, in words."""
+    return f"{numbers['cuda']:,} on a GPU, {numbers['cpu']:,} on a CPU"
+
+
 def reduce_option(what: str) -> Any:
     """--reduce."""
     return option("N", f"divide width and height of {what} by N", 1)
@@ -276,13 +283,11 @@ class Preparation(Options):
 
     up: Axis | None = option(None, "up axis of the splat file (default: guessed)")
     scale: Amount | None = option("M", "largest extent of the splat in metres (default: guessed)")
-    front: Turn | None = option(
-        "DEG", "turn of the splat about the vertical that brings its front to the player (default: guessed; 0: none)"
-    )
+    front: Turn | None = option("DEG", "turn about the vertical that brings its front to the player (default: guessed)")
     vertices: Annotated[int | list[int] | None, positive(int)] = option(
         "N", "vertices of a splat's cage (default: as suits the device, 500 on a CPU, 2000 on a GPU)"
     )
     cells: Literal["adaptive", "uniform"] = option(
-        None, "cells of the cage: smaller where the body is thin or curved, or all alike (default adaptive)", "adaptive"
+        None, "cells of the cage: smaller where thin or curved, or all alike (default adaptive)", "adaptive"
     )
-    pieces: bool = switch("separate pieces each get a cage and become bodies of their own (default: the largest alone)")
+    pieces: bool = switch("each separate piece gets a cage and becomes a body (default: the largest alone)")

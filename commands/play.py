@@ -44,12 +44,11 @@ class SceneOptions(cli.Preparation):
 
     scene: str = cli.option(
         "NAME|ROOM/|FILE.py",
-        "demo to play (see: vrgs.py scenes), a captured room, or your own scene file, which is run (default "
-        "ring_toss; with --body sandbox)",
+        "demo (vrgs.py scenes), captured room, or scene file, which is run (default ring_toss; with --body sandbox)",
         "ring_toss",
     )
     arch: cli.Arch | None = cli.arch_option()
-    interaction: Literal["physics", "transform"] = cli.option(
+    interaction: cli.Setting = cli.option(
         None, "effect of a grip: it deforms and throws bodies, or moves them as they are", "physics"
     )
     embedding: Literal["two-level", "one-level"] = cli.option(None, "how Gaussians follow the cage", "two-level")
@@ -58,15 +57,11 @@ class SceneOptions(cli.Preparation):
     replay: Path | None = cli.option("FILE.h5", "replay recorded input, and compare the states", one_of=INPUT)
     seed: int = cli.seed_option()
     body: list[str] | None = cli.option(
-        "FILE",
-        "splat file or prepared asset to play with; several times: in the scene's roles, in their order",
-        repeat=True,
+        "FILE", "splat or asset to play with; several: in the scene's roles", repeat=True
     )
     stage: str | None = cli.option("ROOM", "a room to play in, a splat or prepared with --static")
-    material: str | None = cli.option("NAME", "material of --body (default: the asset's own; see: vrgs.py materials)")
-    detail: Literal["shipped", "paper"] = cli.option(
-        None, "assets as shipped, or at the paper's sizes (make them: python -m studio --detail paper)", "shipped"
-    )
+    material: str | None = cli.option("NAME", "material of --body (default: its own; see: vrgs.py materials)")
+    detail: cli.Detail = cli.option(None, "assets as shipped, or at the paper's sizes (python -m studio)", "shipped")
     options: dict[str, Any] = field(default_factory=dict)
 
 
@@ -82,19 +77,13 @@ class DisplayOptions(cli.Options):
     host: str | None = cli.option("ADDRESS", "--web: address to listen on (default 127.0.0.1: this machine alone)")
     sort: cli.Sort | None = cli.sort_option("radial")
     size: cli.Size | None = cli.option("WxH", "picture size (default 960x540, of a window: the last one's)")
-    render_scale: cli.RenderScale = cli.option(
-        "S", "--xr: factor of the width and height that the headset recommends", 1.0
-    )
+    render_scale: cli.RenderScale = cli.option("S", "--xr: factor of the headset's recommended width and height", 1.0)
     stereo: bool = cli.switch("headless: draw two eyes, 63 mm apart")
     record: Path | None = cli.option("OUT.mp4", "write a film")
     snapshot: cli.PictureName | None = cli.option("OUT.png", "write the last frame: .png, .jpg or .webp")
-    save_state: Path | None = cli.option(
-        "FILE.h5", "write the state of the scene at the end; --state FILE.h5 goes on from it"
-    )
+    save_state: Path | None = cli.option("FILE.h5", "write the state at the end; --state FILE.h5 goes on from it")
     sound: Literal["auto", "on", "off"] = cli.option(
-        None,
-        "sound of impacts, also in the film of --record; auto: if there is a device and the package for it",
-        "auto",
+        None, "sound of impacts, also in the film of --record; auto: if there is a device and the package", "auto"
     )
     stats: Path | None = cli.option("OUT.json", "write timings and counts")
     record_input: Path | None = cli.option("FILE.h5", "record your input, to be replayed", one_of=INPUT)

@@ -18,8 +18,6 @@ WHERE = cli.OneOf(required=True)
 
 @dataclass(kw_only=True)
 class PrepareOptions(cli.Preparation):
-    """Options of `prepare`."""
-
     EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
     CONDITIONS = (
         cli.Condition(("--cell", "--cut"), lambda o: o.static, "belongs to --static"),
@@ -44,29 +42,21 @@ class PrepareOptions(cli.Preparation):
 
     splats: Path = cli.argument("SPLATS", f"{cli.SPLATS}, skinned .glb; --static: or .h5")
     out: Path | None = cli.option("ASSET.h5", "file to write", one_of=WHERE)
-    cache: bool = cli.switch(
-        "keep it where --body and --stage look for it, so that a play begins at once", one_of=WHERE
-    )
+    cache: bool = cli.switch("keep it where --body and --stage look for it: a play begins at once", one_of=WHERE)
     rig: Path | None = cli.option("RIG.glb", "animate a standing person by this rig's motion")
     landmarks: Path | None = cli.option("L.json", "positions of the person's joints (default: guessed)")
     material: str | None = cli.option(
-        "NAME",
-        f"{', '.join(list(MATERIALS)[:-1])} or {list(MATERIALS)[-1]} "
-        "(default plush, stiffer where a slender shape needs it; with a rig flesh)",
+        "NAME", f"{', '.join(MATERIALS)} (default plush, stiffer where slender; a rig: flesh)"
     )
     static: bool = cli.switch("the splat is a room or garden to play in")
     cell: cli.Amount | None = cli.option("M", "--static: spacing of the distance grid (default: by size)")
     cut: list[cli.Count] | None = cli.option("ID", "--static: objects to cut out, each into a file")
     force: bool = cli.switch("overwrite OUT")
     mesher: Literal["stuffing", "tetgen"] = cli.option(
-        None,
-        "maker of the tetrahedra (default stuffing; tetgen as in the paper: see requirements-tetgen.txt)",
-        "stuffing",
+        None, "maker of the tetrahedra (default stuffing; tetgen: see requirements-tetgen.txt)", "stuffing"
     )
     no_report: bool = cli.switch("leave out ASSET.report.html and ASSET.report.json")
-    quantised: bool = cli.switch(
-        "a third to a fifth of the file's size, with losses that are hardly seen (docs/formats.md)"
-    )
+    quantised: bool = cli.switch("a third to a fifth of the file's size, with losses hardly seen (docs/formats.md)")
     arch: cli.Arch | None = cli.arch_option()
 
 

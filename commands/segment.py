@@ -26,8 +26,6 @@ LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
 
 @dataclass(kw_only=True)
 class SegmentOptions(cli.Options):
-    """Options of `segment`."""
-
     EXAMPLES = (
         "segment toys/ --marks marks.json --splats toys.ply --out toys/masks",
         "segment bear/ --marks marks.json --out masks/ --overlay masks.html    by the capture's sparse points",
@@ -48,32 +46,20 @@ class SegmentOptions(cli.Options):
         ),
     )
 
-    capture: Path = cli.argument(
-        "CAPTURE|SPLATS",
-        "folder with transforms.json or a COLMAP model, or a transforms.json; or a splat file in any format",
-    )
+    capture: Path = cli.argument("CAPTURE|SPLATS", f"{cli.CAPTURES}; or a splat file in any format")
     marks: Path | None = cli.option(
         "MARKS.json",
-        "strokes and boxes in one or more pictures (docs/your_own.md), about two strokes per object. By default a "
-        "window opens to draw them; they are saved in CAPTURE/marks.json, for a splat in FOLDER/marks.json",
+        "strokes and boxes, about two strokes per object (docs/your_own.md). By default a window opens to draw them; "
+        "they are saved in CAPTURE/marks.json, for a splat in FOLDER/marks.json",
     )
     out: Path = cli.option(
-        "FOLDER",
-        "output: a mask for each photograph; for a splat, one splat per object, background.ply, and scene.ply with ids",
-        required=True,
+        "FOLDER", "a mask for each photograph; or a splat per object, background.ply, scene.ply with ids", cli.REQUIRED
     )
-    splats: Path | None = cli.option(
-        "SPLATS",
-        "splat trained on the capture (vrgs.py train), whose depth carries the marks (default: the sparse points)",
-    )
-    model: Path | None = cli.option(
-        "FILE.onnx", "network of yours that refines the borders instead of GrabCut (docs/your_own.md)"
-    )
-    reduce: cli.Count = cli.option("N", "work on photographs whose width and height are divided by N", 1)
+    splats: Path | None = cli.option("SPLATS", "trained on the capture; its depth carries the marks, not sparse points")
+    model: Path | None = cli.option("FILE.onnx", "network that refines borders instead of GrabCut (docs/your_own.md)")
+    reduce: cli.Count = cli.reduce_option("the photographs")
     overlay: Path | None = cli.option("SHEET", "write all photographs with the masks drawn over them: .png or .html")
-    compare: Path | None = cli.option(
-        "MASKS", "folder of true masks: print the overlap with them (intersection over union, IoU)"
-    )
+    compare: Path | None = cli.option("MASKS", "folder of true masks: print the overlap (intersection over union, IoU)")
     arch: cli.Arch | None = cli.arch_option()
 
 

@@ -6,7 +6,6 @@ import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 from assets.file_access import atomic_write
 from commands import options as cli
@@ -16,8 +15,6 @@ from core.program import as_called
 
 @dataclass(kw_only=True)
 class StudyOptions(cli.Options):
-    """Options of `study`."""
-
     EXAMPLES = (
         "--scene ring_toss --study all.h5 --participant Ida --interaction transform",
         "study all.h5 --out all.csv",
@@ -39,14 +36,10 @@ class StudyOptions(cli.Options):
 
     files: list[Path] = cli.argument("STUDY.h5", "files of --study")
     out: Path | None = cli.option("OUT.csv", "write each participant's means")
-    form: str | None = cli.option(
-        "FORM.html", "ask the questionnaire in the terminal, or write it as a page that saves the answers", bare=""
-    )
+    form: str | None = cli.option("FORM.html", "ask in the terminal, or write a page that saves the answers", bare="")
     answers: list[Path] | None = cli.option("ANSWERS.json", "add answers that such a page has saved")
     participant: str | None = cli.option("NAME", "--form: who answers (default: asked)")
-    setting: Literal["physics", "transform"] | None = cli.option(
-        None, "--form: the setting that it is about (default: asked)"
-    )
+    setting: cli.Setting | None = cli.option(None, "--form: the setting that it is about (default: asked)")
 
 
 def study(options: StudyOptions) -> None:

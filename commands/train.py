@@ -30,8 +30,6 @@ TEST_PICTURES = 4  # of the report
 
 @dataclass(kw_only=True)
 class TrainOptions(cli.Options):
-    """Options of `train`."""
-
     EXAMPLES = (
         "train fox/ --out fox.ply",
         "train fox/ --out fox.ply --steps 7000 --report fox.json",
@@ -45,49 +43,32 @@ class TrainOptions(cli.Options):
         cli.Condition(("--split",), lambda o: o.masks != NO_MASKS, "belongs to --masks FOLDER"),
     )
 
-    capture: Path = cli.argument(
-        "CAPTURE",
-        "folder with transforms.json (nerfstudio, instant-ngp) or a COLMAP model, folder of photographs, or a video",
-    )
-    out: Path = cli.option("OUT", "OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply", required=True)
+    capture: Path = cli.argument("CAPTURE", f"{cli.CAPTURES}, folder of photographs, or a video")
+    out: Path = cli.option("OUT", "OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply", cli.REQUIRED)
     steps: cli.Count | None = cli.option(
-        "N",
-        f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU; a third with --fast)",
+        "N", f"steps, one photograph each (default {cli.by_device(STEPS)}; a third with --fast)"
     )
-    fast: bool = cli.switch(
-        "about the same quality in a third of the time or less: fewer steps, the first ones on smaller pictures"
-    )
+    fast: bool = cli.switch("about the same quality in a third of the time: fewer steps, first on smaller pictures")
     strategy: Literal["default", "mcmc"] = cli.option(
-        None,
-        "default: adds Gaussians where detail is missing; mcmc: always uses the whole budget of --cap",
-        "default",
+        None, "default: adds Gaussians where detail is missing; mcmc: always uses all of --cap", "default"
     )
-    cap: cli.Count | None = cli.option(
-        "N", f"upper limit of Gaussians (default {CAPS['cuda']:,} on a GPU, {CAPS['cpu']:,} on a CPU)"
-    )
+    cap: cli.Count | None = cli.option("N", f"upper limit of Gaussians (default {cli.by_device(CAPS)})")
     degree: Literal[0, 1, 2, 3] = cli.option("D", "degree of the spherical harmonics, 0 to 3 (default 3)", 3)
     antialias: bool = cli.switch("train for anti-aliased rendering (Mip-Splatting)")
-    exposure: bool = cli.switch(
-        "also estimate the exposure and colour balance of each photograph, for captures with automatic exposure"
-    )
+    exposure: bool = cli.switch("also estimate exposure and colour balance of each photograph")
     refine_poses: bool = cli.switch("also correct the poses, by fractions of a degree")
     sort: cli.Sort = cli.option(
-        None,
-        "order of blending that is trained for (default radial; pixel: along each pixel's ray, trains slower)",
-        "radial",
+        None, "order of blending (default radial; pixel: along each pixel's ray, trains slower)", "radial"
     )
     reduce: cli.Count = cli.reduce_option("the photographs")
     masks: Path | None = cli.option(
         "FOLDER",
-        "object masks, one colour per object, from which each Gaussian learns its object; none: ignore them "
-        "(default: CAPTURE/masks)",
+        "object masks, one colour per object, to learn objects from; none: ignore them (default: CAPTURE/masks)",
     )
     split: bool = cli.switch("also write a splat of each object and of the background, beside OUT")
     test_every: int = cli.option("N", "hold out every Nth photograph for testing; 0: none (default 8)", 8)
     report: Path | None = cli.option("R.json", "write the results as JSON, and a page with pictures beside it")
-    checkpoint_every: int = cli.option(
-        "N", "steps between checkpoints, from which an interrupted training resumes; 0: none (default 1000)", 1000
-    )
+    checkpoint_every: int = cli.option("N", "steps between checkpoints, to resume from; 0: none (default 1000)", 1000)
     fresh: bool = cli.switch("ignore a checkpoint and start over")
     preview: bool = cli.switch("show the Gaussians in a window during training")
     seed: int = cli.seed_option()

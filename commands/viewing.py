@@ -27,8 +27,6 @@ WHERE = cli.OneOf()
 
 @dataclass(kw_only=True)
 class RenderOptions(cli.Options):
-    """Options of `render`."""
-
     EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
     CONDITIONS = (
         cli.Condition(
@@ -41,7 +39,7 @@ class RenderOptions(cli.Options):
     splats: Path = cli.argument("SPLATS", f"{cli.SPLATS} or .h5")
     camera: Path | None = cli.option("CAM.json", "one camera or a list", one_of=WHERE)
     turntable: bool = cli.switch("film one turn around it", one_of=WHERE)
-    out: Path = cli.option("OUT.png|OUT.npz|OUT.mp4", "file to write", required=True)
+    out: Path = cli.option("OUT.png|OUT.npz|OUT.mp4", "file to write", cli.REQUIRED)
     up: cli.Axis | None = cli.option(None, "turntable: the file's up axis (default: guessed)")
     size: cli.Size = cli.option("WxH", "turntable: picture size (default 960x540)", SIZE)
     frames: cli.Count = cli.option("N", "turntable: number of pictures (default 180)", 180)
@@ -168,26 +166,19 @@ def film_turntable(options: RenderOptions) -> None:
 
 @dataclass(kw_only=True)
 class ViewOptions(cli.Options):
-    """Options of `view`."""
-
     EXAMPLES = ("view cat.ply", "view before.ply after.ply", "view room.ply --background white --out part.ply")
     CONDITIONS = (
         cli.Condition(("--frames",), lambda o: o.snapshot is None, "belongs to a window: --snapshot needs one"),
         cli.Condition(("--out",), lambda o: o.snapshot is None, "is what a crop in the window is written to"),
     )
 
-    files: list[Path] = cli.argument(
-        "FILE", f"{cli.SPLATS} or .h5; with several, Tab shows the next from the same view"
-    )
+    files: list[Path] = cli.argument("FILE", f"{cli.SPLATS} or .h5; several: Tab shows the next from the same view")
     up: cli.Axis | None = cli.option(None, "the files' up axis (default: guessed)")
     size: cli.Size | None = cli.option("WxH", "picture size (default 960x540, of a window: the last one's)")
-    background: cli.Colour = cli.option(
-        "COLOUR", "grey, black, white, or as #rrggbb (default grey)", cli.BACKGROUND_NAMES["grey"]
-    )
+    background: cli.Colour = cli.option("COLOUR", "grey, black, white, or as #rrggbb (default grey)", cli.GREY)
     snapshot: cli.PictureName | None = cli.option("OUT.png", "no window: write one picture")
     out: Path | None = cli.option(
-        "OUT.ply",
-        "file for what a crop leaves (O): .ply, .compressed.ply, .spz or .splat (default: a new .ply each time)",
+        "OUT.ply", "what a crop leaves (O): .ply, .compressed.ply, .spz, .splat (default: new)"
     )
     sort: cli.Sort | None = cli.sort_option("radial")
     frames: cli.Count | None = cli.option("N", "stop after N frames")

@@ -79,12 +79,12 @@ class Animation:
         k = min(int(at), count - 1)
         return interpolate_poses([x[k] for x in self.frames], [x[(k + 1) % count] for x in self.frames], at - k)
 
-    def matrices(self, time: float, ramp: float = START_RAMP) -> np.ndarray:
+    def matrices(self, time: float) -> np.ndarray:
         """Skinning matrices (J, 4, 4), world_j inverse_bind_j, at `time` [s] after the start.
 
-        The motion starts at rest and is blended in over `ramp` [s].
+        The motion starts at rest and is blended in over START_RAMP [s].
         """
-        local, u = self.local(time), 1.0 if ramp <= 0 else min(max(time / ramp, 0.0), 1.0)
+        local, u = self.local(time), min(max(time / START_RAMP, 0.0), 1.0)
         if u < 1.0:
             local = interpolate_poses(self.rest, local, u * u * (3.0 - 2.0 * u))
         return world_matrices(self.parents, local) @ self.inverse_bind

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from assets.file_access import file_size
+from assets.formats.gltf import srgb_from_linear
 from assets.gaussians import MAGNITUDE_MAX, Gaussians, concatenate
 from core.blue_noise import blue_noise
 from core.edge_sampling import (
@@ -87,36 +88,24 @@ def part_of(mesh, *, linear: bool) -> MeshPart:
     """A mesh of trimesh with its colours; `linear`: its factors are linear light."""
     vertices, faces = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64)
     colours, visual = np.full((len(faces), 3, 3), GREY), mesh.visual
+    shown = srgb_from_linear if linear else np.asarray
     if visual.kind == "vertex":
-        colours = displayed(np.asarray(visual.vertex_colors)[:, :3] / 255.0, linear)[faces]
+        colours = shown(np.asarray(visual.vertex_colors)[:, :3] / 255.0)[faces]
     elif visual.kind == "face":
-        colours = np.repeat(displayed(np.asarray(visual.face_colors)[:, None, :3] / 255.0, linear), 3, axis=1)
+        colours = np.repeat(shown(np.asarray(visual.face_colors)[:, None, :3] / 255.0), 3, axis=1)
     elif visual.kind == "texture" and visual.material is not None:
-        return textured(vertices, faces, visual, linear)
+        material = visual.material
+        names = "baseColorTexture", "baseColorFactor"  # of glTF; others have an image and a diffuse colour
+        names = names if hasattr(material, "baseColorFactor") else ("image", "diffuse")
+        image, factor = (getattr(material, name, None) for name in names)
+        colour = np.full(3, 1.0 if image is not None else GREY)
+        if factor is not None and (image is None or linear):  # in an .obj it stands for a texture that is missing
+            colour = shown(np.asarray(factor, np.float64).ravel()[:3] / 255.0)
+        colours = np.broadcast_to(colour, (len(faces), 3, 3))
+        if image is not None and np.shape(visual.uv) == (len(vertices), 2):
+            uv = np.asarray(visual.uv, np.float64)[faces]
+            return MeshPart(vertices, faces, colours, uv, np.array(image.convert("RGBA")))
     return MeshPart(vertices, faces, colours)
-
-
-def textured(vertices: np.ndarray, faces: np.ndarray, visual, linear: bool) -> MeshPart:
-    """Triangles of a material: its texture, if it and the coordinates are there, times its colour."""
-    material = visual.material
-    image = getattr(material, "baseColorTexture", None) if hasattr(material, "baseColorFactor") else material.image
-    factor = getattr(material, "baseColorFactor", None) if hasattr(material, "baseColorFactor") else material.diffuse
-    own = None if factor is None else displayed(np.asarray(factor, np.float64).ravel()[:3] / 255.0, linear)
-    colour = own if own is not None else np.full(3, 1.0 if image is not None else GREY)
-    if image is not None and own is not None and not linear:
-        colour = np.ones(3)  # the diffuse colour of an .obj stands for its texture where that is missing
-    colours = np.broadcast_to(colour, (len(faces), 3, 3))
-    if image is None or visual.uv is None or np.shape(visual.uv) != (len(vertices), 2):
-        return MeshPart(vertices, faces, colours)
-    pixels = np.array(image.convert("RGBA"))
-    return MeshPart(vertices, faces, colours, np.asarray(visual.uv, np.float64)[faces], pixels)
-
-
-def displayed(values: np.ndarray, linear: bool) -> np.ndarray:
-    """Display values in 0..1 of colours in 0..1."""
-    from assets.formats.gltf import srgb_from_linear
-
-    return srgb_from_linear(values) if linear else values
 
 
 def texture_colours(part: MeshPart, face: np.ndarray, weights: np.ndarray, spacing: float) -> np.ndarray:
@@ -200,15 +189,14 @@ def cover(part: MeshPart, spacing: float, rng: np.random.Generator) -> Gaussians
     """Gaussians `spacing` [m] apart on a part, and rows of them along its creases and borders."""
     mesh = Mesh(part.vertices, part.faces)
     corners, normal = mesh.vertices[mesh.faces], face_normals(mesh)
-    area = triangle_areas(corners)
-    total = np.cumsum(area)
+    total = np.cumsum(triangle_areas(corners))
     edges = edges_of(mesh)
     along = np.full(len(edges.a), spacing)
     edge_points = points_along(edges, along)
     found = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, int))]
-    for _ in range(ROUNDS if len(area) else 0):
+    for _ in range(ROUNDS if len(total) else 0):
         count = rng.poisson(CANDIDATES * total[-1] / spacing**2) + 1
-        face = np.searchsorted(total, rng.random(count) * total[-1]).clip(0, len(area) - 1)
+        face = np.searchsorted(total, rng.random(count) * total[-1]).clip(0, len(total) - 1)
         r, t = np.sqrt(rng.random(count)), rng.random(count)
         points = np.einsum("nk,nkd->nd", np.stack([1 - r, r * (1 - t), r * t], 1), corners[face])
         free, near = np.ones(count, bool), near_edges(edge_points, points, spacing)

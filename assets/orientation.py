@@ -8,7 +8,6 @@ cut objects and rooms. Of others 76% are right (of cuts of shipped assets 65%), 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -221,22 +220,9 @@ PLANE_SHARE = 0.04  # a support plane has at least this share of the area of all
 LOWER_SHARE = 0.25  # a level plane under it with this share of its area is the floor, the upper one a table
 
 
-@dataclass(frozen=True)
-class CameraUp:
-    """Vertical estimated from cameras.
-
-    direction  unit, (3,), in the capture's frame
-    error      standard deviation of its angle [rad], in the direction in which it is largest
-    quarters   number of quarter turns of each picture, 0 to 3, (V,)
-    """
-
-    direction: np.ndarray
-    error: float
-    quarters: np.ndarray
-
-
-def up_of_cameras(world_to_camera: np.ndarray) -> CameraUp:
-    """The vertical of cameras (V, 4, 4), +z ahead and +y down, V > 0.
+def up_of_cameras(world_to_camera: np.ndarray) -> tuple[np.ndarray, float]:
+    """The vertical (3,) of cameras (V, 4, 4), +z ahead and +y down, V > 0, and the standard deviation of its
+    angle [rad] in the direction in which that is largest.
 
     People hold a camera level to a few degrees, upright or turned by a quarter, but tilt it up or down as they like. So
     the horizontal axes x_i of the pictures are nearly perpendicular to the vertical, and the mean up m of the pictures
@@ -256,7 +242,7 @@ def up_of_cameras(world_to_camera: np.ndarray) -> CameraUp:
         precision = (weight[:, None] * level).T @ level / ROLL**2 + np.eye(3) / TILT**2
         up = _unit(np.linalg.solve(precision, _unit(weight @ own) / TILT**2))
     across = np.linalg.svd(up[None])[2][1:]
-    return CameraUp(up, float(np.linalg.eigvalsh(across @ precision @ across.T)[0] ** -0.5), quarters)
+    return up, float(np.linalg.eigvalsh(across @ precision @ across.T)[0] ** -0.5)
 
 
 def _costs(axes: np.ndarray, up: np.ndarray) -> np.ndarray:

@@ -261,11 +261,8 @@ class Rig:
     animation: str
 
 
-def read_rig(path: str | Path, fps: float = SAMPLE_RATE) -> tuple[Rig, GlbFile, int]:
-    """The first skin of a .glb and its first animation, sampled, with the open file and the skin's index.
-
-    Raises BadInput.
-    """
+def read_rig(path: str | Path) -> tuple[Rig, GlbFile]:
+    """The first skin of a .glb and its first animation, sampled, with the open file. Raises BadInput."""
     file = GlbFile(path)
     nodes = file.list(file.json, "nodes")
     if not 0 < len(nodes) <= NODES_MAX:
@@ -290,11 +287,11 @@ def read_rig(path: str | Path, fps: float = SAMPLE_RATE) -> tuple[Rig, GlbFile, 
         bind = np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)  # they are stored by columns
     if (np.abs(np.linalg.det(bind[:, :3, :3])) < 1e-12).any() or (bind[:, 3] != [0, 0, 0, 1]).any():
         raise file.error("an inverse bind matrix cannot be inverted")
-    frames, rate, name = _sampled(file, rest, place, fps)
+    frames, rate, name = _sampled(file, rest, place)
     names = [str(nodes[k].get("name", f"node {k}"))[:100] for k in order]
     rig = Rig(names, np.where(parents[order] < 0, -1, place[parents[order]]), place[joints], bind, tuple(rest), frames,
               rate, name)  # fmt: skip
-    return rig, file, 0
+    return rig, file
 
 
 def _order(file: GlbFile, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -330,8 +327,8 @@ def _local(file: GlbFile, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return file.numbers(node, "translation", (0.0, 0.0, 0.0)), q / np.linalg.norm(q), scale
 
 
-def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: float):
-    """The first animation, sampled at a whole number of frames at about `fps`: (t, q, s), its rate and name."""
+def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray):
+    """The first animation, at a whole number of frames, about SAMPLE_RATE a second: (t, q, s), its rate and name."""
     animations = file.list(file.json, "animations")
     if not animations:
         raise file.error("has no animation")
@@ -355,7 +352,7 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: floa
     begin, end = min(t[0] for t in times.values()), max(t[-1] for t in times.values())
     if not 0 < end - begin <= DURATION_MAX:
         raise file.error(f"its animation lasts {end - begin:.3g} s; more than 0 to {DURATION_MAX:g} s can be played")
-    count = max(round((end - begin) * fps), 2)
+    count = max(round((end - begin) * SAMPLE_RATE), 2)
     at = begin + (end - begin) * np.arange(count + 1) / count  # the last repeats the first, if the motion is periodic
     frames = [np.tile(x, (count + 1, 1, 1)) for x in rest]
     for node, path, sampler in channels:
@@ -407,11 +404,11 @@ def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, ro
     return found
 
 
-def read_mesh(file: GlbFile, skin: int, joints: int) -> SkinnedMesh:
-    """All triangles bound to the skin of `joints` joints, with their colours. Raises BadInput."""
+def read_mesh(file: GlbFile, joints: int) -> SkinnedMesh:
+    """All triangles bound to the first skin, of `joints` joints, with their colours. Raises BadInput."""
     found, textures, known, faces, vertices = [], [], {}, 0, 0
     for node in file.list(file.json, "nodes"):
-        if node.get("skin") != skin or "mesh" not in node:
+        if node.get("skin") != 0 or "mesh" not in node:
             continue
         for p in file.list(file.item("meshes", node["mesh"]), "primitives"):
             arrays = _primitive(file, p, joints, textures, known)

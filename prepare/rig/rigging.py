@@ -229,8 +229,8 @@ def rig_source(path: Path, rig: str | Path | None, landmarks: str | Path | None)
 def _own_rig(path: Path) -> RigSource:
     from prepare.rig.skinned_mesh import animate_mesh, sample_mesh, scene_from_mesh, surface_gaussians
 
-    rig, file, skin = read_rig(path)
-    mesh = read_mesh(file, skin, len(rig.joints))
+    rig, file = read_rig(path)
+    mesh = read_mesh(file, len(rig.joints))
     place = scene_from_mesh(rig)
     x = mesh.vertices @ place[:3, :3].T + place[:3, 3]
     try:

@@ -90,10 +90,9 @@ def capture_orientation(
     """
     poses = np.array([v.world_to_camera for v in capture.views])
     places = np.array([v.position for v in capture.views])
-    found = up_of_cameras(poses)
+    up, error = up_of_cameras(poses)
     target = capture.looked_at()
-    up, error, plane = found.direction, found.error, None
-    near = None if gaussians is None else near_gaussians(gaussians, places, target)
+    plane, near = None, None if gaussians is None else near_gaussians(gaussians, places, target)
     if near is not None:
         plane = support_plane(near, places, up, error)
     if plane is not None:

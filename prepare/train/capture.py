@@ -184,8 +184,8 @@ class Capture:
 
     @property
     def up(self) -> np.ndarray:
-        """The world's vertical as the cameras saw it, (3,) unit (prepare/orientation/camera_up.py)."""
-        return up_of_cameras(np.array([v.world_to_camera for v in self.views])).direction
+        """The world's vertical as the cameras saw it, (3,) unit (assets/orientation.py)."""
+        return up_of_cameras(np.array([v.world_to_camera for v in self.views]))[0]
 
     def upright(self) -> Capture:
         """The same capture in a world whose +y is `up`."""

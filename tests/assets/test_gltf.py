@@ -14,8 +14,8 @@ from tests.support.glb import CODES, Builder, bar, packed
 
 
 def whole(path):
-    rig, file, skin_ = read_rig(path)
-    return rig, read_mesh(file, skin_, len(rig.joints))
+    rig, file = read_rig(path)
+    return rig, read_mesh(file, len(rig.joints))
 
 
 def refused(path) -> str:
@@ -79,7 +79,7 @@ def test_step_holds_and_the_cubic_spline_is_hermites(tmp_path):
         sampler["input"] = scene["animations"][0]["samplers"][0]["input"]
         scene["animations"][0]["samplers"].append(sampler)
         scene["animations"][0]["channels"].append({"sampler": 1, "target": {"node": 0, "path": "translation"}})
-        rig, _, _ = read_rig(b.write(tmp_path / f"{kind}.glb", b.json(**scene)
+        rig, _ = read_rig(b.write(tmp_path / f"{kind}.glb", b.json(**scene)
                                      | {"buffers": [{"byteLength": len(b.binary)}]}))  # fmt: skip
         moved = rig.frames[0][:, rig.names.index("lower")]
         k = round(0.3 * rig.fps)  # at 0.8 s, 0.6 of the way from the first key to the second, 0.5 s later
@@ -188,7 +188,7 @@ def test_the_walking_man(shared):
 
 
 def test_the_dancer_comes_round(shared):
-    rig, _, _ = read_rig(shared / "data/rigs/win-dance.glb")
+    rig, _ = read_rig(shared / "data/rigs/win-dance.glb")
     assert_allclose(rig.frames[0][0], rig.frames[0][-1], atol=1e-5)
     assert_allclose(np.abs((rig.frames[1][0] * rig.frames[1][-1]).sum(-1)), 1, atol=1e-6)
     assert len(rig.frames[0]) == 155

@@ -129,8 +129,8 @@ def read_skinned_glb(path: Path) -> None:
     """Read the rig and the mesh of a .glb."""
     from assets.formats.gltf import read_mesh, read_rig
 
-    rig, file, skin = read_rig(path)
-    read_mesh(file, skin, len(rig.joints))
+    rig, file = read_rig(path)
+    read_mesh(file, len(rig.joints))
 
 
 def image_samples(folder: Path) -> list[Files]:

@@ -56,12 +56,11 @@ def degrees_apart(a, b) -> float:
 def test_cameras_that_look_down_from_one_side_do_not_lean_the_world(arc, height):
     """The mean of the pictures' own up leans towards the cameras by their tilt; their horizontal axes do not."""
     poses = in_frame(orbit(np.random.default_rng(0), 60, arc, height))
-    found = up_of_cameras(poses)
+    up, error = up_of_cameras(poses)
     mean = -poses[:, 1, :3].sum(0)
-    apart = degrees_apart(found.direction, TURN[:, 1])
-    assert apart < max(1.5, 3 * np.degrees(found.error)) and apart < 4.0
+    apart = degrees_apart(up, TURN[:, 1])
+    assert apart < max(1.5, 3 * np.degrees(error)) and apart < 4.0
     assert arc == 2 * np.pi or degrees_apart(mean / np.linalg.norm(mean), TURN[:, 1]) > 15.0
-    assert (found.quarters == 0).all()
 
 
 def test_pictures_held_on_their_side_and_upside_down_are_told_apart():
@@ -69,9 +68,7 @@ def test_pictures_held_on_their_side_and_upside_down_are_told_apart():
     quarters = np.repeat([0, 1, 3, 2], [30, 15, 10, 3])
     poses = orbit(rng, len(quarters), 5.0, 0.7)
     turned = np.array([rolled(pose, q * np.pi / 2) for pose, q in zip(poses, quarters, strict=True)])
-    found = up_of_cameras(in_frame(turned))
-    assert degrees_apart(found.direction, TURN[:, 1]) < 1.5
-    assert ((found.quarters == quarters).all()) or ((-found.quarters % 4 == quarters).all())
+    assert degrees_apart(up_of_cameras(in_frame(turned))[0], TURN[:, 1]) < 1.5
 
 
 def test_some_pictures_held_askew_do_no_harm():
@@ -79,7 +76,7 @@ def test_some_pictures_held_askew_do_no_harm():
     rng = np.random.default_rng(2)
     poses = orbit(rng, 60, 2.0, 0.7)
     poses[::3] = [rolled(pose, rng.uniform(0.4, 1.1)) for pose in poses[::3]]
-    assert degrees_apart(up_of_cameras(poses).direction, (0, 1, 0)) < 1.5
+    assert degrees_apart(up_of_cameras(poses)[0], (0, 1, 0)) < 1.5
 
 
 def test_the_error_that_is_said_is_the_error_that_is_made():
@@ -87,8 +84,8 @@ def test_the_error_that_is_said_is_the_error_that_is_made():
     rng, ratios = np.random.default_rng(3), []
     for _ in range(200):
         poses = orbit(rng, int(rng.integers(8, 40)), rng.uniform(0.1, 6.0), 2.0 * np.tan(rng.normal(0, 0.44)), 0.07)
-        found = up_of_cameras(poses)
-        ratios.append(np.radians(degrees_apart(found.direction, (0, 1, 0))) / found.error)
+        up, error = up_of_cameras(poses)
+        ratios.append(np.radians(degrees_apart(up, (0, 1, 0))) / error)
     assert 0.55 < np.mean(np.array(ratios) < 1.0) < 0.9 and np.mean(np.array(ratios) < 2.0) > 0.9
 
 

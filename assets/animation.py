@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from typing import Annotated
 
 import h5py
 import numpy as np
@@ -30,6 +31,7 @@ from core.rotation import (
     multiply_quaternions,
     quaternions_from_matrices,
 )
+from core.typed import Size
 
 JOINTS_MAX, FRAMES_MAX, JOINT_FRAMES_MAX = 1024, 100_000, 2_000_000
 JOINTS_PER_VERTEX = 4
@@ -222,9 +224,7 @@ def write_animation(file: h5py.File, a: Animation) -> None:
 
 def read_animation(file: Hdf5Reader) -> Animation:
     """The group `animation` of an open asset file, not checked against the cage. Raises BadInput."""
-    names = file.json("animation", "names")
-    if not isinstance(names, list) or len(names) > JOINTS_MAX or not all(isinstance(n, str) for n in names):
-        raise file.error(f"the joints' names are not a list of at most {JOINTS_MAX} texts")
+    names = file.json("animation", "names", Annotated[list[str], Size(JOINTS_MAX)])
     J = len(names)
 
     def pose(prefix: str, *frames: int) -> Pose:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -196,7 +197,11 @@ class Asset:
             quantised = _version(file) == QUANTISED
             gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
             sort = file.text("", "sort") if file.has_text("", "sort") else ""
-            gaussians = replace(gaussians, objects=_read_objects(file), sort=sort)
+            gaussians = replace(
+                gaussians,
+                objects=(file.json("", "objects", tuple[str, ...]) if file.has_text("", "objects") else ()),
+                sort=sort,
+            )
             cage = _read_cage(file) if file.has("cage") else None
             embedding = None
             if file.has("embedding"):
@@ -207,7 +212,7 @@ class Asset:
                 embedding,
                 read_grid(file, "sdf/values") if file.has("sdf") else None,
                 read_material(file),
-                _read_provenance(file),
+                file.json("", "provenance", dict[str, Any]),
                 read_environment(file) if file.has("stage") else None,
                 read_animation(file) if file.has("animation") else None,
             )
@@ -298,13 +303,6 @@ def _read_gaussians(file: Hdf5Reader) -> Gaussians:
     )
 
 
-def _read_objects(file: Hdf5Reader) -> tuple[str, ...]:
-    names = file.json("", "objects") if file.has_text("", "objects") else []
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise file.error("the names of its objects are no list of texts")
-    return tuple(names)
-
-
 def _read_cage(file: Hdf5Reader) -> Cage:
     return Cage(
         file.floats("cage/vertices", (None, 3)),
@@ -324,13 +322,6 @@ def _read_quantised_embedding(file: Hdf5Reader, gaussians: Gaussians, cage: Cage
     gaussians.check(str(file.path))  # the weights are computed from both
     cage.check(str(file.path))
     return CageEmbedding(*read_quantised_embedding(file, gaussians, cage))
-
-
-def _read_provenance(file: Hdf5Reader) -> dict:
-    provenance = file.json("", "provenance")
-    if not isinstance(provenance, dict):
-        raise file.error("the provenance is not a JSON object")
-    return provenance
 
 
 def split_components(asset: Asset) -> list[Asset]:

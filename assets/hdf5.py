@@ -8,19 +8,21 @@ before a dataset is read.
 from __future__ import annotations
 
 import io
-import json
 import mmap
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import h5py
 import numpy as np
 
 from assets.file_access import UNPACK_BASE, file_size, unpack_bound
 from core.errors import BadInput
+from core.typed import from_json
 
+T = TypeVar("T")
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 ATTRIBUTE, CONTINUATION = 0x0C, 0x10  # kinds of messages in the header of an object
 BLOCKS_MAX, BLOCK_SIZE_MAX = 16, 1 << 20  # of such a header; [bytes]
@@ -163,12 +165,9 @@ class Hdf5Reader:
             pass
         raise self.error(f"{where} is not a text of at most {TEXT_MAX} bytes")
 
-    def json(self, name: str, key: str):
-        """The value of a text that holds JSON."""
-        try:
-            return json.loads(self.text(name, key))
-        except (ValueError, RecursionError) as e:
-            raise self.error(f"{key!r} of {name or 'the file'} is not JSON") from e
+    def json(self, name: str, key: str, kind: type[T]) -> T:
+        """The value of this type (core/typed.py) that a text holds as JSON."""
+        return from_json(kind, self.text(name, key), f"{self.path}: {key}")
 
     def _text_attribute(self, name: str, key: str, where: str) -> bytes:
         """The content of an attribute with a text of fixed length, or of variable length as in older files."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from assets.file_access import file_size
 from assets.library import SHIPPED_FOLDER, cached_asset
@@ -169,7 +169,7 @@ def wanted_vertices(path: Path) -> int:
 
     with open_hdf5(path) as file:
         try:
-            return int(file.json("", "provenance")["options"]["vertices"])
+            return int(file.json("", "provenance", dict[str, Any])["options"]["vertices"])
         except (KeyError, TypeError, ValueError) as e:
             raise file.error("does not say how many vertices it was prepared with") from e
 
@@ -196,7 +196,7 @@ def _ask_up(splats: Path, prepared: Path) -> None:
     from assets.orientation import question
 
     with open_hdf5(prepared) as file:
-        provenance = file.json("", "provenance")
+        provenance = file.json("", "provenance", dict[str, Any])
     chances = {} if "reoriented" in provenance else provenance.get("up_probabilities", {})
     if line := question(chances):
         print(f"{splats.name}: {line}", flush=True)

@@ -41,7 +41,7 @@ from assets.file_access import atomic_write
 from assets.gaussians import MAGNITUDE_MAX
 from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
 from core.material import Material
-from core.typed import Range, Size, from_json, to_json
+from core.typed import Range, Size, to_json
 from core.vocabulary import Coordinate, Hand, Light, Point
 from display.record.recording_file import checked_about
 from sim.hands.grasp import Grasp, GraspState
@@ -139,9 +139,9 @@ def read_state(path: str | Path) -> SceneState:
         if file.number("", "version") != VERSION:
             raise file.error(f"is a state of version {file.number('', 'version'):g}; this program reads {VERSION}")
         about = checked_about(file.text("", "about"), str(path))
-        assets = from_json(Assets, file.text("", "assets"), f"{path}: assets")
-        added = from_json(Added, file.text("", "added"), f"{path}: added")
-        settings = from_json(Settings, file.text("", "settings"), f"{path}: settings")
+        assets = file.json("", "assets", Assets)
+        added = file.json("", "added", Added)
+        settings = file.json("", "settings", Settings)
         bodies = read_bodies(file, settings.material_names)
         count, vertices = len(bodies), sum(b.vertices for b in bodies)
         motion = np.stack([finite(file, f"motion/{name}", (vertices, 3), np.float32) for name in MOTION])

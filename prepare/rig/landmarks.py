@@ -10,6 +10,7 @@ import itertools
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from scipy import ndimage
@@ -22,11 +23,13 @@ from assets.file_access import read_json
 from assets.formats.gltf import Rig
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.typed import Range, Shape, from_plain
 
 LIMBS = ("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle", "foot")  # hand, foot: their tips
 NAMES = ("head_top", "neck", *(f"{side}_{limb}" for side in ("left", "right") for limb in LIMBS))
 MAX_LANDMARK_DISTANCE = 3.0  # [body sizes] from the body, beyond which a landmark is a mistake
 MAX_FILE_SIZE = 1 << 20  # [bytes] of a landmarks file
+Coordinates = Annotated[np.ndarray, Shape(3), Range(-1e6, 1e6)]  # [m]
 
 ANKLE, SHIN, KNEE, HIP, WAIST, CHEST, SHOULDER, NECK = 0.045, 0.1, 0.285, 0.53, 0.62, 0.72, 0.815, 0.855  # heights
 UPPER_ARM, FOREARM, HAND = 0.186, 0.146, 0.108  # lengths
@@ -40,9 +43,9 @@ MIN_ARM = 0.25  # length of an arm that stands out from the body
 class Held:
     """Held object: a ball that follows the joint of the landmark `by`; centre (3,) and radius [m]."""
 
-    by: str
-    center: np.ndarray
-    radius: float
+    by: Literal[*NAMES]
+    center: Coordinates
+    radius: Annotated[float, Range(1e-6, 1e6)]
 
     @property
     def joint(self) -> str:
@@ -219,39 +222,11 @@ def read_landmarks(path: str | Path) -> dict:
 
     Coordinates are metres in the prepared asset's frame. Raises BadInput.
     """
-    path = Path(path)
-    found = read_json(path, MAX_FILE_SIZE)
-    if not isinstance(found, dict):
-        raise BadInput(f"{path}: is not a JSON object of landmarks")
-    result: dict = {"joints": {}}
-    for name, value in found.items():
-        if name in NAMES:
-            result[name] = _vector(value, f"{path}: {name}")
-        elif name == "held" and isinstance(value, list):
-            result["held"] = [_held(v, str(path)) for v in value]
-        elif name == "joints" and isinstance(value, dict) and all(isinstance(v, str) for v in value.values()):
-            result["joints"] = value
-        else:
-            raise BadInput(f"{path}: {name[:40]!r} is not a landmark; there are {', '.join(NAMES)}, held and joints")
-    return result
-
-
-def _vector(value, what: str) -> np.ndarray:
-    """Three finite numbers, or BadInput."""
-    good = isinstance(value, list) and len(value) == 3
-    good = good and all(isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) < 1e6 for v in value)
-    if not good:
-        raise BadInput(f"{what} is not three coordinates in metres")
-    return np.array(value, np.float64)
-
-
-def _held(value, where: str) -> Held:
-    """Entry of `held`: {"by": NAME, "center": [x, y, z], "radius": r}."""
-    by = value.get("by") if isinstance(value, dict) else None
-    radius = value.get("radius") if isinstance(value, dict) else None
-    if by not in NAMES or isinstance(radius, bool) or not isinstance(radius, (int, float)) or not 0 < radius < 1e6:
-        raise BadInput(f'{where}: an entry of held is {{"by": LANDMARK, "center": [x, y, z], "radius": r}}')
-    return Held(by, _vector(value.get("center"), f"{where}: the center of an entry of held"), float(radius))
+    found = from_plain(dict[str, Any], read_json(Path(path), MAX_FILE_SIZE), str(path))
+    kinds = {**dict.fromkeys(NAMES, Coordinates), "held": list[Held], "joints": dict[str, str]}
+    for name in found.keys() - kinds.keys():
+        raise BadInput(f"{path}: {name[:40]!r} is not a landmark; there are {', '.join(kinds)}")
+    return {"joints": {}} | {name: from_plain(kinds[name], v, f"{path}: {name}") for name, v in found.items()}
 
 
 SIDES = ("left", "right")

@@ -8,18 +8,22 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from assets.file_access import make_folder, part_beside, read_json, reason_of
 from assets.images import read_image_header
 from core.errors import BadInput
+from core.typed import Range, Size, from_plain
 from prepare.train.capture import View
 from prepare.train.photographs import HEADER_BYTES, image_size, read_image
 
 NAMES_FILE = "objects.json"
 OBJECTS_MAX = 255  # ids fit a byte, 0 is the background
 JSON_MAX = 1 << 20  # [bytes]
+Byte = Annotated[int, Range(0, 255)]
+Colors = Annotated[dict[str, tuple[Byte, Byte, Byte]], Size(OBJECTS_MAX, least=1)]  # of the file of names
 VIEWS_MIN = 2  # views that must show an object: one view gives no depth
 NAME = re.compile(r"[^\x00-\x1f\x7f/\\:*?\"<>|.\s](?:[^\x00-\x1f\x7f/\\:*?\"<>|]{0,62}[^\x00-\x1f\x7f/\\:*?\"<>|.\s])?")
 # Colours far apart, of Kelly's list of maximum contrast, the strongest first.
@@ -201,15 +205,11 @@ def _read_names(path: Path) -> dict[str, int] | None:
     """Colour code of each object's name; None if there is no such file."""
     if not path.is_file():
         return None
-    data = read_json(path, JSON_MAX)
-    if not isinstance(data, dict) or not 0 < len(data) <= OBJECTS_MAX:
-        raise BadInput(f'{path}: has to be {{"NAME": [R, G, B], ...}} with 1 to {OBJECTS_MAX} objects')
     named: dict[str, int] = {}
-    for name, color in data.items():
+    for name, color in from_plain(Colors, read_json(path, JSON_MAX), str(path)).items():
         check_name(name, str(path))
-        whole = isinstance(color, list) and len(color) == 3 and all(type(c) is int and 0 <= c <= 255 for c in color)
-        if not whole or not any(color):
-            raise BadInput(f"{path}: the colour of {name!r} is not [R, G, B] of 0 to 255, other than black")
+        if not any(color):
+            raise BadInput(f"{path}: the colour of {name!r} is black, which means no object")
         code = int(_codes(np.array(color, np.uint8)))
         if code in named.values():
             raise BadInput(f"{path}: two objects have the colour {color}")

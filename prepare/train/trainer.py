@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import taichi as ti
@@ -293,7 +293,7 @@ def read_checkpoint(path: Path, options: dict, views: int) -> dict[str, np.ndarr
     with open_hdf5(path) as file:
         if file.text("", "format") != FORMAT or file.number("", "version") != VERSION:
             raise file.error("is no checkpoint of a training of this version")
-        if file.json("", "options") != options:
+        if file.json("", "options", dict[str, Any]) != options:
             raise file.error("was made with other options; with --fresh the training starts anew")
         count = len(file.floats("mean", (None, 3)))
         state = {name: file.floats(name, (count, *shape)) for name, shape in COLUMNS.items()}

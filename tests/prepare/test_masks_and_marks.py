@@ -83,7 +83,7 @@ def test_a_folder_with_other_things_is_not_replaced(tmp_path, views):
         (lambda f: [painted(f, n, np.zeros((HEIGHT, WIDTH), np.uint8)) for n in SIZES], "no object in any mask"),
         (lambda f: (f / "objects.json").write_text("{"), "not a JSON file"),
         (lambda f: (f / "objects.json").write_text('{"../x": [1, 2, 3]}'), "cannot be an object's name"),
-        (lambda f: (f / "objects.json").write_text('{"x": [0, 0, 0]}'), "other than black"),
+        (lambda f: (f / "objects.json").write_text('{"x": [0, 0, 0]}'), "is black"),
         (lambda f: (f / "objects.json").write_text('{"x": [1, 2, 3], "y": [1, 2, 3]}'), "two objects"),
     ],
 )

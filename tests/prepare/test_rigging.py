@@ -120,11 +120,11 @@ def test_residuals_tell_what_left_and_right_disagree_in():
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[1]", "not a JSON object"),
+        ("[1]", "not an object"),
         ("{", "not a JSON"),
         ('{"nose": [0, 0, 0]}', "not a landmark"),
-        ('{"neck": [0, 0]}', "three coordinates"),
-        ('{"neck": [0, NaN, 0]}', "three coordinates"),
+        ('{"neck": [0, 0]}', "not 3 finite numbers"),
+        ('{"neck": [0, NaN, 0]}', "not 3 finite numbers"),
         ('{"held": [{"by": "tail", "center": [0, 0, 0], "radius": 1}]}', "held"),
         ('{"held": [{"by": "left_hand", "center": [0, 0, 0], "radius": -1}]}', "held"),
     ],

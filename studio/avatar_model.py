@@ -1,4 +1,4 @@
-"""The player's hands, controllers and poking finger as points with normals and colours: display/xr/avatar.npz.
+"""What players see of themselves, as Gaussians: hands, controllers, finger, ray, marks; display/xr/avatar.npz.
 
     python -m studio.avatar_model
 
@@ -14,10 +14,21 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
+from assets.gaussians import Gaussians
+from core.spherical_harmonics import C0
+from display.edit import selection_marker
 from display.xr.actions import FINGER_LENGTH, FINGER_RADIUS
-from display.xr.avatar import BIND_BENDS, MODELS, SPACING
+from display.xr.avatar import BIND_BENDS, GAUSSIAN_FIELDS, MODELS
 from display.xr.hand_joints import FINGERS, JOINT_COUNT, WRIST, HandJoints, posed, rotation_about
+from render.skinned_props import Skin
 
+SPACING = 0.0034  # [m] between Gaussians
+SIGMA, THICKNESS = 0.8 * SPACING, 0.0005  # [m] standard deviations: no gap shows the far side
+OPAQUE = 0.99
+RAY_COLOUR = np.array([1.0, 0.83, 0.45])
+TARGET_RADIUS, RAY_RADIUS = 0.11, 0.0016  # [m]
+RAY_GAUSSIANS = 40
+STROKE_GAUSSIANS, STROKE_RADIUS = 8, 0.04  # of a corner; the radius relative to the stroke's length
 SEEDS_PER_POINT = 6  # points to choose from, for each that is taken
 SMOOTHING = 0.0035  # [m]: k
 WEIGHT_FALLOFF = 0.0035  # [m] over which the weight of a bone fades into the next one's
@@ -37,20 +48,86 @@ def write_models() -> None:
 
 
 def avatar_models() -> dict[str, np.ndarray]:
-    """Points `x` [m], normals `n` and `colour` (N, 3) of each model; of the hand `part` and `weight` (N, 4), too."""
+    """Arrays of all models by NAME_FIELD: Gaussians, normals, parts from 0 on and weights."""
+    models = {
+        "ray": ray(),
+        "target": target(),
+        "corner": corner(),
+        "hand_left": hand((-1, 1, 1)),
+        "hand_right": hand((1, 1, 1)),
+        "controller": shaded(*controller_points()),
+        "finger": shaded(*coloured([(*tube(FINGER_LENGTH, lambda _: FINGER_RADIUS), FINGER_COLOUR)])),
+        "fingertip": shaded(*coloured([(*dome(FINGER_RADIUS), FINGER_COLOUR)])),
+    }
+    arrays = {}
+    for name, model in models.items():
+        arrays |= {f"{name}_{field}": getattr(model.gaussians, field) for field in GAUSSIAN_FIELDS}
+        arrays |= {f"{name}_normal": model.normal.astype(np.float32), f"{name}_part": model.part.astype(np.uint8)}
+        arrays[f"{name}_weight"] = model.weight.astype(np.float32)
+    return arrays
+
+
+def discs(x, n, width: float, thickness: float, colour, opacity) -> Gaussians:
+    """Flat Gaussians at x (N, 3), with normals n (N, 3); standard deviations [m]."""
+    scales = np.tile(np.log([width, width, thickness]), (len(x), 1))
+    opacity = np.broadcast_to(opacity, len(x))
+    logit = np.log(opacity / np.maximum(1.0 - opacity, 1e-6))
+    return Gaussians.of(x, rotations_to(n), scales, logit, ((colour - 0.5) / C0)[:, None, :])
+
+
+def rotations_to(n: np.ndarray) -> np.ndarray:
+    """Quaternions wxyz (N, 4) of the shortest rotations from z to the unit vectors n (N, 3)."""
+    q = np.column_stack([1.0 + n[:, 2], -n[:, 1], n[:, 0], np.zeros(len(n))])
+    q[q[:, 0] < 1e-9] = 0.0, 1.0, 0.0, 0.0
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def on_one_part(gaussians: Gaussians, n) -> Skin:
+    """Gaussians that the first part carries; n (N, 3) are their normals, 0 where they glow."""
+    weight = np.zeros((len(n), 4))
+    weight[:, 0] = 1.0
+    return Skin(gaussians, n, np.zeros((len(n), 4)), weight)
+
+
+def ray() -> Skin:
+    """A thin ray along -z, 1 m long when its part has scale 1, fading to its end."""
+    t = (np.arange(RAY_GAUSSIANS) + 0.5) / RAY_GAUSSIANS
+    x, n = t[:, None] * [0.0, 0.0, -1.0], np.tile([0.0, 0.0, 1.0], (RAY_GAUSSIANS, 1))
+    g = discs(x, n, RAY_RADIUS, 0.5 / RAY_GAUSSIANS, np.tile(RAY_COLOUR, (RAY_GAUSSIANS, 1)), 0.75 - 0.45 * t)
+    return on_one_part(g, 0 * n)
+
+
+def target() -> Skin:
+    """Rings on the floor, around +y."""
+    a = np.linspace(0, 2 * np.pi, 90, endpoint=False)
+    rings = [(TARGET_RADIUS, 0.85), (0.9 * TARGET_RADIUS, 0.6), (0.2 * TARGET_RADIUS, 0.7)]
+    x = np.concatenate([r * np.column_stack([np.cos(a), 0 * a, np.sin(a)]) for r, _ in rings])
+    opacity = np.repeat([o for _, o in rings], len(a))
+    n = np.tile([0.0, 1.0, 0.0], (len(x), 1))
+    return on_one_part(discs(x, n, 0.006, 0.002, np.tile(RAY_COLOUR, (len(x), 1)), opacity), 0 * n)
+
+
+def corner() -> Skin:
+    """Three strokes from the origin along the axes, 1 m long when the part has scale 1."""
+    t = (np.arange(STROKE_GAUSSIANS) + 0.5) / STROKE_GAUSSIANS
+    axes = np.repeat(np.eye(3), STROKE_GAUSSIANS, axis=0)
+    x = axes * np.tile(t, 3)[:, None]
+    colour = np.tile(selection_marker.COLOUR, (len(x), 1))
+    return on_one_part(discs(x, axes, STROKE_RADIUS, 0.5 / STROKE_GAUSSIANS, colour, 0.95), 0 * axes)
+
+
+def shaded(x, n, colour) -> Skin:
+    """Opaque Gaussians at points x with normals n and colours (N, 3) that the first part carries."""
+    return on_one_part(discs(x, n, SIGMA, THICKNESS, colour, OPAQUE), n)
+
+
+def hand(mirror) -> Skin:
+    """The skin of a hand; `mirror` (3,) makes the right one the left one."""
     joints = posed(BIND_BENDS)
     x, n, finger = surface_points(joints)
     part, weight = joint_weights(joints, x, finger)
-    finger_tube = tube(FINGER_LENGTH, lambda _: FINGER_RADIUS)
-    models = {
-        "hand": (x, n, paint(joints, x, n)),
-        "controller": controller_points(),
-        "finger": coloured([(*finger_tube, FINGER_COLOUR)]),
-        "fingertip": coloured([(*dome(FINGER_RADIUS), FINGER_COLOUR)]),
-    }
-    arrays = {f"{name}_{k}": a for name, of in models.items() for k, a in zip(("x", "n", "colour"), of, strict=True)}
-    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
-    return {"hand_part": part.astype(np.uint8), "hand_weight": weight.astype(np.float32), **arrays}
+    g = discs(x * mirror, n * mirror, SIGMA, THICKNESS, paint(joints, x, n), OPAQUE)
+    return Skin(g, n * mirror, part, weight)
 
 
 def tube(length: float, radius) -> tuple[np.ndarray, np.ndarray]:

@@ -32,10 +32,13 @@ TextLine = list[tuple[str, tuple[float, ...]]]  # texts side by side, with their
 
 
 def text_box(
-    name: str, lines: Sequence[TextLine], left: float, *, gap: float, scale: float = 1.0, bottom: bool = False
+    name: str, lines: Sequence[TextLine], left: float, *, gap: float, scale: float = 1.0, place=(0.5, 0.0)
 ) -> None:
-    """Draw lines of text on glass at the upper or lower edge: in the middle, or right of `left` [px] where that covers
-    the middle. `gap` [px] is between texts side by side; `scale` is that of the glass.
+    """Draw lines of text on glass, right of `left` [px].
+
+    gap    between texts side by side [px]
+    scale  of the glass around them
+    place  (0, 0): in the upper left corner of the window, (1, 1): in the lower right one
 
     The size is computed here: a window that ImGui fits to its content is cut off in its first frame, which is the one
     that stays on the screen while something takes long.
@@ -52,8 +55,8 @@ def text_box(
     width = min(wide, longest)
     height = sum(max(e.y for e in line) for line in extents) + style.item_spacing.y * (len(lines) - 1)
     size = (width + 2 * style.window_padding.x + 1, height + 2 * style.window_padding.y)
-    top = area.y - edge - size[1] if bottom else edge
-    imgui.set_next_window_pos((max(0.5 * (area.x - size[0]), left + edge), top))
+    at = [edge + part * (side - s - 2 * edge) for part, side, s in zip(place, area, size, strict=True)]
+    imgui.set_next_window_pos((max(at[0], left + edge), at[1]))
     imgui.set_next_window_size(size)
     flags = imgui.WindowFlags_
     still = flags.no_decoration | flags.no_inputs | flags.no_saved_settings | flags.no_bring_to_front_on_focus
@@ -113,7 +116,7 @@ class FirstHint:
         factor = min(max(imgui.get_io().display_size.y / pixels(FULL_HEIGHT), MIN_FACTOR), 1.0)
         imgui.push_font(None, HINT_SIZE * factor)
         imgui.push_style_var(imgui.StyleVar_.alpha, opacity)
-        text_box("hint", [line], left, gap=pixels(5) * factor, scale=HINT_PADDING * factor, bottom=True)
+        text_box("hint", [line], left, gap=pixels(5) * factor, scale=HINT_PADDING * factor, place=(0.5, 1.0))
         imgui.pop_style_var()
         imgui.pop_font()
 

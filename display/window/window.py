@@ -22,7 +22,7 @@ from display.window.controls import HOVER_OPACITY, ROOM_GIZMO, Controls, Hover
 from display.window.dialogs import LengthDialog, OpenDialog, SceneMenu, UpChoice
 from display.window.gl_context import PictureTexture
 from display.window.gl_window import GLWindow
-from display.window.overlay import FirstHint, Gizmo, draw_lines, measuring_lines
+from display.window.overlay import FirstHint, Gizmo, draw_lines, measuring_lines, text_box
 from display.window.panel_drawer import PanelDrawer
 from display.window.widgets import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
 from scenes.scene import Scene
@@ -124,16 +124,9 @@ class Window:
         if picture is not None:
             self._texture.upload(picture)
         events = self._surface.begin()
-        area = imgui.get_io().display_size
         imgui.push_font(None, TITLE_SIZE)
-        extent = imgui.calc_text_size(text)
-        at = (0.5 * (area.x - extent.x), 0.5 * (area.y - extent.y))
         if text:
-            shade, margin = imgui.get_color_u32((0.0, 0.0, 0.0, 0.6)), 0.5 * extent.y
-            low, high = (at[0] - margin, at[1] - margin), (at[0] + extent.x + margin, at[1] + extent.y + margin)
-            draw_list = imgui.get_foreground_draw_list()
-            draw_list.add_rect_filled(low, high, shade)
-            draw_list.add_text(at, imgui.get_color_u32(QUIET), text)
+            text_box("loading", [[(text, QUIET)]], 0.0, gap=0.0, place=(0.5, 0.5))
         imgui.pop_font()
         self._texture.draw(self._surface.frame_size)
         self._surface.end()

@@ -15,7 +15,7 @@ MAY_IMPORT = {
     "render": {"core", "assets"},
     "display": {"core", "assets", "scenes", "sim", "render"},
     "prepare": {"core", "assets", "render"},
-    "studio": {"core", "assets", "scenes", "prepare", "display"},
+    "studio": {"core", "assets", "scenes", "render", "prepare", "display"},
     "commands": {"core", "assets", "scenes", "sim", "render", "display", "prepare", "bench"},
     "bench": {"core", "assets", "scenes", "sim", "render", "display", "prepare"},
 }

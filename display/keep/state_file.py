@@ -205,9 +205,9 @@ def read_hands(file: Hdf5Reader, bodies: tuple[SavedBody, ...]) -> GraspState:
         raise file.error("hands/poses holds values out of range")
     vertex = file.indices("hands/vertex", (int(taken.sum(dtype=np.int64)),), np.int64)
     position = finite(file, "hands/position", (len(vertex), 3))
-    lost, last = finite(file, "hands/lost", (count,)), finite(file, "hands/last", (count, 10))
+    last = finite(file, "hands/last", (count, 10))
     history = finite(file, "hands/history", (int(poses.sum(dtype=np.int64)), 8))
-    if (history[:, 0] < 0).any() or (lost < 0).any():
+    if (history[:, 0] < 0).any():
         raise file.error("hands hold negative times")
     if not (np.linalg.norm(history[:, 4:], axis=1) > 1e-6).all():
         raise file.error("hands/history holds a quaternion of length 0")
@@ -226,7 +226,7 @@ def read_hands(file: Hdf5Reader, bodies: tuple[SavedBody, ...]) -> GraspState:
         hand = Hand(tuple(numbers[:3]), tuple(numbers[3:7]), bool(numbers[7]), numbers[8]) if there else None
         hands.append(hand)
         histories.append(tuple((row[0], tuple(row[1:])) for row in history[own].tolist()))
-    return GraspState(tuple(grasps), tuple(hands), tuple(histories), tuple(lost.tolist()))
+    return GraspState(tuple(grasps), tuple(hands), tuple(histories))
 
 
 def spans(counts: np.ndarray) -> list[slice]:
@@ -274,7 +274,6 @@ def write_hands(file: h5py.File, hands: GraspState) -> None:
     for name, values, kind in (
         ("held", [-1 if g is None else g.body for g in grasps], np.int32),
         ("count", [0 if g is None else len(g.vertices) for g in grasps], np.int32),
-        ("lost", hands.lost, np.float64),
         ("vertex", np.concatenate([np.zeros(0, np.int32), *(g.vertices for g in taken)]), np.int32),
         ("position", np.concatenate([np.zeros((0, 3)), *(g.positions for g in taken)]), np.float64),
         ("last", last, np.float64),

@@ -32,6 +32,7 @@ TOUCH_SMOOTHING = 0.5  # weight of a frame's force in that mean: contact forces 
 MIN_STRENGTH = 0.03  # below which nothing is felt anyway
 LEAD_SPEED, LEAD_TURN_RATE = 2.0, 2 * np.pi  # [m/s], [rad/s] at which a hand moves to where tracking found it
 MAX_LEAD_TIME = 0.5  # [s]
+MAX_HAND_JUMP = 1.0  # [m] in a frame; faster than any arm, so the tracking was lost
 
 
 class Player:
@@ -258,8 +259,8 @@ class PoseFilter:
     """Leads hands that are tracked again from where they were lost to where they are.
 
     While a controller is not tracked, or another program has the input, its hand stays where it was and holds what it
-    holds. Found again somewhere else, it is led there evenly within a moment, so that nothing it
-    holds is flung: at LEAD_SPEED, within MAX_LEAD_TIME, however the hand moves on meanwhile.
+    holds. Found again somewhere else, or suddenly MAX_HAND_JUMP away, it is led there evenly within a moment, so that
+    nothing it holds is flung: at LEAD_SPEED, within MAX_LEAD_TIME, however the hand moves on meanwhile.
     """
 
     def __init__(self):
@@ -275,6 +276,9 @@ class PoseFilter:
         if found is None:
             self._remaining[h] = None
             return None
+        arrived = self._remaining[h] is not None and self._remaining[h] <= 0.0
+        if before is not None and arrived and np.linalg.norm(found[:3, 3] - before[:3, 3]) > MAX_HAND_JUMP:
+            self._remaining[h] = None
         if self._remaining[h] is None:
             self._remaining[h] = 0.0 if before is None else lead_time(before, found)
         if before is not None and self._remaining[h] > 0.0:

@@ -36,8 +36,6 @@ MIN_GRASP_VERTICES = 4  # one more than fix a body's attitude
 MAX_WIDENING = 1.5  # times the reach, where a coarse cage has fewer vertices within reach
 MAX_HAND_TORQUE = 0.1 * MAX_HAND_FORCE  # [N m] of one hand: its force at the width of a hand
 THROW_WINDOW = 0.08  # [s] before the release that decide: longer than fingers take to open
-MAX_HAND_JUMP = 1.0  # [m] in a frame; faster than any arm, so the tracking was lost
-TRACKING_TIMEOUT = 0.25  # [s] that a hand is held where it was lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,17 +52,16 @@ PoseHistory = tuple[tuple[float, tuple[float, ...]], ...]  # ages [s] and poses 
 
 @dataclass(frozen=True)
 class GraspState:
-    """State of all hands: grasps (None for nothing), last inputs, pose histories, and times since when each is lost."""
+    """State of all hands: grasps (None for nothing), last inputs, and pose histories."""
 
     grasps: tuple[Grasp | None, ...]
     last: tuple[Hand | None, ...]
     histories: tuple[PoseHistory, ...]
-    lost: tuple[float, ...]
 
     @classmethod
     def none(cls, hands: int) -> "GraspState":
         """State of open hands that were never tracked."""
-        return cls((None,) * hands, (None,) * hands, ((),) * hands, (0.0,) * hands)
+        return cls((None,) * hands, (None,) * hands, ((),) * hands)
 
     def renumbered(self, index: list[int | None]) -> "GraspState":
         """The same after bodies were renumbered: index[old] is the new one, None if it is gone, and so is the grasp."""
@@ -213,12 +210,11 @@ class Grasps:
 
     def get_state(self) -> GraspState:
         """The grasps, as a value."""
-        return GraspState(tuple(self.grasps), tuple(self.last), tuple(self.histories), tuple(self.lost))
+        return GraspState(tuple(self.grasps), tuple(self.last), tuple(self.histories))
 
     def set_state(self, state: GraspState) -> None:
         """Replace all grasps by those of the state."""
-        self.grasps, self.last = list(state.grasps), list(state.last)
-        self.histories, self.lost = list(state.histories), list(state.lost)
+        self.grasps, self.last, self.histories = list(state.grasps), list(state.last), list(state.histories)
         self.held.fill(0)
         for h, grasp in enumerate(self.grasps):
             if grasp is not None:
@@ -228,13 +224,14 @@ class Grasps:
         """Take the hands' poses after dt [s]; grasp and release.
 
         A hand that opens throws a body that no other hand holds, if bodies are `moving`. A
-        missing hand opens and throws nothing. One that is None, or has no finite pose, holds still; so does one that
-        holds something and is suddenly MAX_HAND_JUMP away, until it is back or, after TRACKING_TIMEOUT, opens.
+        missing hand opens and throws nothing. One that is None, or has no finite pose, holds still.
         """
         poses = np.zeros((max(self.count, 1), 2, 7), np.float32)
         for h in range(self.count):
             before = self.last[h]
-            now = self._tracked(h, hands[h], dt) if h < len(hands) else None
+            now = hands[h] if h < len(hands) else None
+            if h < len(hands) and (now is None or not has_pose(now)):
+                now = before
             if self.grasps[h] is not None and (now is None or not now.grip):
                 body, history = self.grasps[h].body, self.histories[h]
                 self._hold(h, None)
@@ -250,21 +247,6 @@ class Grasps:
             self.histories[h] = () if self.grasps[h] is None else extended(self.histories[h], dt, now, THROW_WINDOW)
         if any(grasp is not None for grasp in self.grasps):
             self._set_poses(poses)
-
-    def _tracked(self, h: int, given: Hand | None, dt: float) -> Hand | None:
-        """Hand h with the pose that it counts as having, if the tracking gives `given`."""
-        last = self.last[h]
-        if given is None or not has_pose(given):
-            return last
-        far = last is not None and math.dist(given.position, last.position) > MAX_HAND_JUMP
-        if not far or self.grasps[h] is None:
-            self.lost[h] = 0.0
-            return given
-        self.lost[h] += dt
-        if self.lost[h] > TRACKING_TIMEOUT:  # it drops the body without a throw
-            self._hold(h, None)
-            return given
-        return replace(last, grip=given.grip)
 
     def _throw(self, body: int, history: PoseHistory) -> None:
         """Let a body move on as the hand did that has held it."""

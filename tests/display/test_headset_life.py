@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from display.adaptive_resolution import DynamicResolution
+from display.xr.actions import Controller
+from display.xr.player import MAX_LEAD_TIME, PoseFilter
 from display.xr.wrist_panel import PIXELS
 from render.renderer import DEPTH_FAR, DEPTH_NEAR
 from tests.support.fake_xr import CLOCK, DEPTH, EXTENSIONS, PERIOD, FakeXr
@@ -121,6 +124,17 @@ def test_while_something_else_has_the_input_the_world_goes_on_and_hands_hold_on(
     ways = np.linalg.norm(np.diff([h.position for h in hands], axis=0), axis=1)
     assert ways.max() < 2.1 * PERIOD * 1e-9 and ways.sum() == pytest.approx(0.1)  # led there, not flung
     assert lines(capsys) == ["another program has the input: your hands wait", "the input is back"]
+
+
+def test_a_hand_that_jumps_is_led_there_evenly():
+    """Tracking takes something else for the hand: what it holds is not flung there, nor back."""
+    here, away = np.eye(4), np.eye(4)
+    away[:3, 3] = 0.0, 5.0, -3.0
+    lead, dt = PoseFilter(), 1 / 90
+    shown = [lead.apply([Controller(grip=pose)], dt)[0].grip[:3, 3] for pose in [here] * 3 + [away] * 90 + [here] * 90]
+    ways = np.linalg.norm(np.diff(shown, axis=0), axis=1)
+    assert_allclose([shown[2], shown[92], shown[-1]], [here[:3, 3], away[:3, 3], here[:3, 3]], atol=1e-9)
+    assert ways.max() < 1.1 * np.linalg.norm(away[:3, 3]) * dt / MAX_LEAD_TIME
 
 
 def test_a_hand_and_a_head_that_are_lost_stay_where_they_were(wear, capsys):

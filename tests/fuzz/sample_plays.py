@@ -70,7 +70,7 @@ def some_state() -> SceneState:
     bodies = tuple(SavedBody(k, bool(k), 1.0 + k, m, "rubber", 5, not k) for k, m in enumerate(materials))
     grasp = Grasp(0, np.array([0, 2, 3, 4]), np.zeros((4, 3)))
     hand, pose = Hand((0.1, 0.8, 0.0), grip=True), (0.1, 0.8, 0.0, 1.0, 0.0, 0.0, 0.0)
-    hands = GraspState((grasp, None), (hand, None), (((0.1, pose), (0.0, pose)), ()), (0.0, 0.5))
+    hands = GraspState((grasp, None), (hand, None), (((0.1, pose), (0.0, pose)), ()))
     animations = (SavedAnimation(1, 2.5, np.eye(4)),)
     light = Light((1.0, 3.0, 1.0), (0.0, 0.8, 0.0))
     settings = Settings(4.0, 0.0, (0.0, -9.81, 0.0), 0.5, "physics", light, (0.0, 1.6, 1.0), (0.0, 0.8, 0.0),

@@ -25,18 +25,19 @@ LOG_INTERVAL = 5.0  # [s] between two lines in a file
 
 
 class Timings:
-    """Durations of the stages of a frame, and of whole frames.
+    """Durations of the stages of a frame, and of whole frames [s].
 
-    A launch on a GPU returns before the work is done. With `exact` each stage waits for the device
-    at its end, so that the time is counted where it is spent; without, stages may overlap and only
-    the whole frame is right. `budget` [s] is the time that a frame may take before it is missed. `dropped` [s] is time
-    that has passed and was never simulated, `photon` [s] from a look at where the head is to its picture being lit.
+    A launch on a GPU returns before the work is done. With `exact` each stage waits for the device at its end, so that
+    the time is counted where it is spent; without, only the whole frame is right.
+
+    budget   of a frame
+    missed   frames that took more than 1.5 budgets, or as many as a headset reports
+    dropped  time that has passed and was never simulated
+    photon   from reading the head's pose to the light of its picture
     """
 
     def __init__(self, *, exact: bool = False, budget: float = 1 / 60):
-        self.exact, self.budget = exact, budget
-        self.missed = 0  # frames that took longer than 1.5 budgets, or as many as a headset says
-        self.dropped = 0.0
+        self.exact, self.budget, self.missed, self.dropped = exact, budget, 0, 0.0
         self.photon: deque[float] = deque(maxlen=HISTORY_LENGTH)
         self._first: dict[str, float] = {}
         self._samples: dict[str, deque[float]] = {}
@@ -55,26 +56,17 @@ class Timings:
         self.add(name, perf_counter() - begin)
 
     def add(self, name: str, seconds: float) -> None:
-        """Record one duration [s] of a stage."""
+        """Record one duration [s] of a stage; the first, which compiles its kernels, is kept apart."""
         if name not in self._first:
-            self._first[name] = seconds
-            self._samples[name] = deque(maxlen=HISTORY_LENGTH)
+            self._first[name], self._samples[name] = seconds, deque(maxlen=HISTORY_LENGTH)
         else:
             self._samples[name].append(seconds)
-
-    def measure_exactly(self, on: bool) -> None:
-        """Let stages wait for the device from now on, or not."""
-        self.exact = on
-
-    def note_photon(self, seconds: float) -> None:
-        """Record a time from motion to light [s]."""
-        self.photon.append(seconds)
 
     def frame(self, missed: int | None = None, *, budget: float | None = None, dropped: float = 0.0) -> None:
         """Mark the end of a frame. The first one only starts the clock: it holds the compilation.
 
-        A display that knows them says how many frames it has `missed` before this one (else the time tells), its
-        period, which is the `budget` [s], and the time [s] `dropped` so far.
+        missed  frames before this one, as a display reports them; None: told by the time
+        budget  the display's period [s];   dropped  so far [s]
         """
         now = perf_counter()
         self.budget, self.dropped = self.budget if budget is None else budget, max(self.dropped, dropped)
@@ -113,36 +105,24 @@ class Timings:
 
     def recent(self) -> list[tuple[str, float, float]]:
         """(stage, median, worst) [ms] of the last samples, in the order in which stages first ran."""
-        rows = []
-        for name, samples in self._samples.items():
-            values = np.array(last(samples, RECENT_SAMPLES) or [self._first[name]]) * 1e3
-            rows.append((name, float(np.median(values)), float(values.max())))
-        return rows
+        return [(name, *self._median_and_worst(name, RECENT_SAMPLES)) for name in self._first]
 
     def latest(self, *names: str) -> float:
         """Sum of the last durations of these stages [s]."""
         return sum((self._samples[name] or [self._first[name]])[-1] for name in names if name in self._samples)
 
     def as_dict(self) -> dict[str, dict[str, float]]:
-        """{stage: {"median_ms", "worst_ms", "first_ms"}} over the history.
-
-        The first run of a stage compiles its kernels, so it is reported separately; it counts
-        as the median and the worst only where it is the only one.
-        """
+        """{stage: {"median_ms", "worst_ms", "first_ms"}} over the history."""
         stages = {}
-        for name, samples in self._samples.items():
-            values = np.array(samples or [self._first[name]]) * 1e3
-            stages[name] = {
-                "median_ms": float(np.median(values)),
-                "worst_ms": float(values.max()),
-                "first_ms": self._first[name] * 1e3,
-            }
+        for name, first in self._first.items():
+            median, worst = self._median_and_worst(name, HISTORY_LENGTH)
+            stages[name] = {"median_ms": median, "worst_ms": worst, "first_ms": first * 1e3}
         return stages
 
-
-def last(values: deque[float], count: int) -> list[float]:
-    """The last `count` values of a deque, without walking through the others."""
-    return list(islice(reversed(values), count))
+    def _median_and_worst(self, name: str, count: int) -> tuple[float, float]:
+        """Median and maximum [ms] of the last samples of a stage, of its first run if it is the only one."""
+        values = np.array(list(islice(reversed(self._samples[name]), count)) or [self._first[name]]) * 1e3
+        return float(np.median(values)), float(values.max())
 
 
 @contextmanager

@@ -112,7 +112,7 @@ class Headless:
                     self._video.write(pixels)
                 if kept:
                     save_picture(self.snapshot, pixels)
-        world.timings.measure_exactly(True)  # from the second frame on; the first compiles
+        world.timings.exact = True  # from the second frame on; the first compiles
         world.timings.frame()
 
 

@@ -204,7 +204,7 @@ class Browser:
             still = self._resolution.still and world.picture_size == self.size
             self._server.show(self._picture, strokes, lambda: pixels_of(world.picture), still=still)
             self._tell(world)
-        world.timings.measure_exactly(self._server.details)
+        world.timings.exact = self._server.details
         world.timings.frame(dropped=self._dropped)
 
     def _tell(self, world: WorldView) -> None:

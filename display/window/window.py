@@ -192,7 +192,7 @@ class Window:
                 self._draw_film_mark(world.film_seconds)
             self._surface.end()
         self._surface.swap()
-        world.timings.measure_exactly(self._panel.details)
+        world.timings.exact = self._panel.details
         world.timings.frame(missed=None if self._busy else 0, dropped=self._dropped)  # at rest nobody misses a picture
 
     def _draw_dialogs(self, world: WorldView) -> list[Command]:

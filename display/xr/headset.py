@@ -254,7 +254,7 @@ class Headset:
         except SessionLost:  # `frames` sees it, too; until then nothing is drawn
             return []
         if now is not None:
-            world.timings.note_photon((display_time - now) * 1e-9)
+            world.timings.photon.append((display_time - now) * 1e-9)
         world_from_play = self._player.play_space.world_from_play
         return [eye_camera(*world.picture_size, fov, world_from_play @ eye) for eye, fov in located]
 

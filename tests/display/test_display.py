@@ -120,7 +120,7 @@ def test_a_display_that_knows_what_it_missed_is_believed():
     timings._frames.append(0.2)
     assert frame_lines(timings) == ["longest frame 200 ms, 3 missed"]
     for seconds in (0.03, 0.02, 0.5):
-        timings.note_photon(seconds)
+        timings.photon.append(seconds)
     timings.frame(dropped=1.25)
     assert frame_lines(timings)[1:] == ["from motion to light 30 ms", "1.2 s left out: too slow for real time"]
 
@@ -131,7 +131,7 @@ def test_exact_timings_wait_for_the_device(ti_cpu, monkeypatch):
     timings = Timings()
     with timings.stage("a"):
         pass
-    timings.measure_exactly(True)
+    timings.exact = True
     with timings.stage("a"):
         pass
     assert len(calls) == 1

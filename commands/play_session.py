@@ -230,9 +230,9 @@ class Session:
             case AddBody() as request:
                 asset, name = opening.body(), Path(request.path).stem
                 try:
-                    self.world.add_body(asset, name)
+                    self.world.editor.add(asset, name)
                 except CapacityError:
-                    self._planned = Planned(self.options, self.world.scene, (*self.world.guests, asset), name)
+                    self._planned = Planned(self.options, self.world.scene, (*self.world.registry.guests, asset), name)
             case OpenScene() | SwapRoom():
                 scene = self._load(opening.options)
                 load_bodies(scene)  # a file that cannot be used is found while the present world still plays
@@ -265,7 +265,7 @@ class Session:
         elif planned.joins:
             self._resume(before[-1])
             try:
-                self.world.add_body(planned.reserve[-1], planned.joins)
+                self.world.editor.add(planned.reserve[-1], planned.joins)
             except BadInput as e:
                 self.world.tell(str(e))
 

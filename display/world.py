@@ -73,7 +73,7 @@ class World(WorldView):
     """A running scene. `step` it with each frame; then `picture` is the view of the frame's cameras.
 
     width, height  of one view's picture [px]
-    reserve        assets of bodies for which there must be capacity, so that `add_body` can add them
+    reserve        assets of bodies for which there must be capacity, so that the editor can add them
     options        of the DeviceScene: views, interaction, embedding, sort, depth, fingers, props
     """
 
@@ -335,18 +335,6 @@ class World(WorldView):
         if self.scene.game is not None:
             vars(self.scene.game).update(deepcopy(snapshot.game))
         self.refresh()
-
-    def add_body(self, asset: str, name: str = "") -> None:
-        """Add a body made of an asset above the play, under a name; this can be undone.
-
-        Raises BadInput, as CapacityError where a world with `reserve` for it is needed.
-        """
-        self.editor.add(asset, name)
-
-    @property
-    def guests(self) -> list[str]:
-        """The assets of the bodies that `add_body` has added, one for each that is there."""
-        return self.registry.guests
 
     def adopt(self, snapshot: WorldSnapshot) -> None:
         """Take over the state of another world of the same scene, which may be closed."""

@@ -244,23 +244,16 @@ def load(
     scene = built(found, values)
     if not resize:
         scene = replace(scene, roles=tuple(replace(role, resize=False) for role in scene.roles))
-    return with_users(scene, name, played, assets[len(played) :], material, stage)
-
-
-def with_users(
-    scene: Scene, name: str, played: list[str], assets: list[str], material: str | None, stage: str | None
-) -> Scene:
-    """The scene with the user's assets in its roles, and in the user's room. Raises BadInput."""
-    if not (played or assets) and stage is None:
+    if not assets and stage is None:
         return scene
     from scenes.roles import cast_bodies, in_room
 
-    if assets and not scene.roles:
+    if assets[len(played) :] and not scene.roles:
         raise BadInput(f"the scene {name} takes no --body")
     if stage is not None and scene.room is None:
         raise BadInput(f"the scene {name} takes no --stage")
-    if played or assets:
-        scene = cast_bodies(scene, played, assets, material)
+    if assets:
+        scene = cast_bodies(scene, played, assets[len(played) :], material)
     return scene if stage is None else in_room(scene, stage)
 
 

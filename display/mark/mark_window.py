@@ -23,6 +23,21 @@ STEP = 0.06  # fraction of the distance per press of a walking key
 POINT_GAP = 2.0  # in screen coordinates, between two points of a stroke
 WALK = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 OUTSIDE_COLOUR = (0.05, 0.05, 0.05)
+ZOOM_STEP, ZOOM_MAX = 1.25, 16.0  # of a notch of the wheel; of the whole picture's size
+WIDTH = 248.0  # in screen coordinates at a display scale of 1
+LIST_ROWS = 6  # of objects, or of views, that are seen at once
+TOOLS = {"inside": "Inside", "outside": "Outside", "boxes": "Box"}
+HINTS = (
+    "Left: inside; right, Shift: outside\n"
+    "B: box   N: new   1-9: choose object\n"
+    "Ctrl+Z, Ctrl+Y: undo, redo\n"
+    "Del: delete the object\n"
+)
+PHOTOGRAPH_HINTS = (
+    "Tab, Shift+Tab: next, previous\nWheel: nearer; middle: move; Home: all\n"
+    "Colours are a first idea, of this photograph alone"
+)
+ORBIT_HINTS = "Space or middle drag: turn\nWheel: nearer   W A S D Q E: move\n+ -: grow, shrink   Tab: next view"
 
 
 class Subject(Protocol):
@@ -66,7 +81,7 @@ class MarkWindow:
         self._surface = GLWindow(title, *size, vsync=True)
         apply_theme(self._surface.scale)
         self._texture, self._placed = PictureTexture(self._surface.gl), PlacedPicture()
-        self._panel = MarkPanel(self)
+        self._typed: str | None = None  # a name that is being written
         self._seen, self._cursor = None, (0.0, 0.0)
         self._drag: str | None = None  # "inside", "outside", "boxes" or "turn"
         self._points: list[tuple[float, float]] = []
@@ -122,7 +137,7 @@ class MarkWindow:
         pixels = surface.frame_size[0] / max(width, 1)
         self._texture.draw(surface.frame_size, tuple(round(n * pixels) for n in self._placed.place))
         self._draw_marks()
-        self._panel.draw((left, height), surface.scale)
+        self._draw_panel((left, height))
 
     def _draw_marks(self) -> None:
         from imgui_bundle import imgui
@@ -291,41 +306,10 @@ class MarkWindow:
         else:
             self.leave()
 
+    # the panel
 
-def marked_in_window(subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]) -> MarkState:
-    """Marks drawn in a window. Raises BadInput without a display, Cancelled if the user leaves without saving."""
-    state = MarkWindow(subject, edit, title, size).run()
-    if state is None:
-        print("the window was left: no marks are kept, nothing is written", file=sys.stderr)
-        raise Cancelled(quits=True)
-    return state
-
-
-WIDTH = 248.0  # in screen coordinates at a display scale of 1
-LIST_ROWS = 6  # of objects, or of views, that are seen at once
-TOOLS = {"inside": "Inside", "outside": "Outside", "boxes": "Box"}
-HINTS = (
-    "Left: inside; right, Shift: outside\n"
-    "B: box   N: new   1-9: choose object\n"
-    "Ctrl+Z, Ctrl+Y: undo, redo\n"
-    "Del: delete the object\n"
-)
-PHOTOGRAPH_HINTS = (
-    "Tab, Shift+Tab: next, previous\nWheel: nearer; middle: move; Home: all\n"
-    "Colours are a first idea, of this photograph alone"
-)
-ORBIT_HINTS = "Space or middle drag: turn\nWheel: nearer   W A S D Q E: move\n+ -: grow, shrink   Tab: next view"
-
-
-class MarkPanel:
-    """Panel of a MarkWindow, at its left."""
-
-    def __init__(self, window):
-        self._window = window
-        self._typed: str | None = None  # a name that is being written
-
-    def draw(self, size: tuple[int, int], scale: float) -> None:
-        """Draw it, (width, height) in screen coordinates, and do what is clicked."""
+    def _draw_panel(self, size: tuple[int, int]) -> None:
+        """Draw the panel at the left, (width, height) in screen coordinates, and carry out what is clicked."""
         from imgui_bundle import imgui
 
         flag = imgui.WindowFlags_
@@ -333,31 +317,31 @@ class MarkPanel:
         imgui.set_next_window_size(size)
         flags = flag.no_title_bar | flag.no_resize | flag.no_move | flag.no_nav | flag.no_bring_to_front_on_focus
         imgui.begin("Marks", None, flags)
-        self._objects(scale)
+        self._draw_objects()
         imgui.separator()
-        self._tools()
+        self._draw_tools()
         imgui.separator()
-        self._views(scale)
+        self._draw_views()
         imgui.separator()
-        imgui.text_wrapped(self._window.line or "Draw a stroke inside of what shall be an object.")
+        imgui.text_wrapped(self.line or "Draw a stroke inside of what shall be an object.")
         done = imgui.get_frame_height_with_spacing()
-        hints = HINTS + (PHOTOGRAPH_HINTS if self._window.subject.free is None else ORBIT_HINTS)
+        hints = HINTS + (PHOTOGRAPH_HINTS if self.subject.free is None else ORBIT_HINTS)
         wide = imgui.get_content_region_avail().x
         high = imgui.calc_text_size(hints, False, wide).y
         imgui.set_cursor_pos_y(
             max(imgui.get_cursor_pos_y(), size[1] - done - high - 3 * imgui.get_style().item_spacing.y)
         )
         if imgui.button("Done (Enter)", (wide, 0.0)):
-            self._window.finish()
+            self.finish()
         imgui.push_style_color(imgui.Col_.text, imgui.get_style().color_(imgui.Col_.text_disabled))
         imgui.text_wrapped(hints)
         imgui.pop_style_color()
         imgui.end()
 
-    def _objects(self, scale: float) -> None:
+    def _draw_objects(self) -> None:
         from imgui_bundle import imgui
 
-        edit, subject = self._window.edit, self._window.subject
+        edit, subject = self.edit, self.subject
         rows = min(len(edit.state.objects), LIST_ROWS)
         imgui.text("Objects")
         imgui.begin_child("objects", (0.0, rows * imgui.get_frame_height_with_spacing()))
@@ -365,17 +349,15 @@ class MarkPanel:
             imgui.color_button(f"##colour{k}", (*subject.colour(k), 1.0))
             imgui.same_line()
             if k == edit.current:
-                self._name(name)
+                self._draw_name(name)
                 continue
             views = len({m.view for m in edit.state.marks if m.object == name})
             if imgui.selectable(f"{k + 1}  {name}   {f'in {views}' if views else 'no marks'}##{k}", False)[0]:
                 edit.choose(k)
         imgui.end_child()
-        self._buttons(
-            {"New": edit.new_object, "Delete": edit.delete, "Undo": self._window.undo, "Redo": self._window.redo}
-        )
+        self._draw_buttons({"New": edit.new_object, "Delete": edit.delete, "Undo": self.undo, "Redo": self.redo})
 
-    def _name(self, name: str) -> None:
+    def _draw_name(self, name: str) -> None:
         """The name of the current object, editable."""
         from imgui_bundle import imgui
 
@@ -388,44 +370,43 @@ class MarkPanel:
         imgui.pop_item_flag()
         if imgui.is_item_deactivated() and self._typed is not None:
             text, self._typed = self._typed.strip(), None
-            if not self._window.edit.rename(text):
-                self._window.line = f"{text!r} cannot be its name"
+            if not self.edit.rename(text):
+                self.line = f"{text!r} cannot be its name"
 
-    def _tools(self) -> None:
+    def _draw_tools(self) -> None:
         from imgui_bundle import imgui
 
         for kind, text in TOOLS.items():
-            if imgui.radio_button(text, self._window.tool == kind):
-                self._window.tool = kind
+            if imgui.radio_button(text, self.tool == kind):
+                self.tool = kind
             if kind != "boxes":
                 imgui.same_line()
-        if self._window.subject.free is not None:
-            edit = self._window.edit
-            self._buttons({"Grow": lambda: edit.grow(1), "Shrink": lambda: edit.grow(-1)})
+        if self.subject.free is not None:
+            self._draw_buttons({"Grow": lambda: self.edit.grow(1), "Shrink": lambda: self.edit.grow(-1)})
 
-    def _views(self, scale: float) -> None:
+    def _draw_views(self) -> None:
         from imgui_bundle import imgui
 
-        window, subject = self._window, self._window.subject
+        subject = self.subject
         views, shown = subject.views, subject.view_shown()
         if subject.free is None:
             at = views.index(shown)
             imgui.text(f"Photograph {at + 1} of {len(views)}")
-            self._buttons({"Previous": lambda: window.turn_page(-1), "Next": lambda: window.turn_page(1)})
+            self._draw_buttons({"Previous": lambda: self.turn_page(-1), "Next": lambda: self.turn_page(1)})
             if len(views) > 1:
                 imgui.set_next_item_width(-1.0)
                 moved, chosen = imgui.slider_int("##photograph", at + 1, 1, len(views), shown.replace("%", "%%"))
                 if moved:
-                    window.go_to(views[min(max(chosen, 1), len(views)) - 1])
-        marked = sorted({m.view for m in window.edit.state.marks})
+                    self.go_to(views[min(max(chosen, 1), len(views)) - 1])
+        marked = sorted({m.view for m in self.edit.state.marks})
         imgui.text("With marks:" if marked else "None has marks yet")
         imgui.begin_child("views", (0.0, min(len(marked), LIST_ROWS) * imgui.get_text_line_height_with_spacing() + 1))
         for name in marked:
             if imgui.selectable(f"{name}##view", name == shown)[0]:
-                window.go_to(name)
+                self.go_to(name)
         imgui.end_child()
 
-    def _buttons(self, actions: dict) -> None:
+    def _draw_buttons(self, actions: dict) -> None:
         """Buttons in a row."""
         from imgui_bundle import imgui
 
@@ -436,7 +417,13 @@ class MarkPanel:
                 act()
 
 
-ZOOM_STEP, ZOOM_MAX = 1.25, 16.0  # of a notch of the wheel; of the whole picture's size
+def marked_in_window(subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]) -> MarkState:
+    """Marks drawn in a window. Raises BadInput without a display, Cancelled if the user leaves without saving."""
+    state = MarkWindow(subject, edit, title, size).run()
+    if state is None:
+        print("the window was left: no marks are kept, nothing is written", file=sys.stderr)
+        raise Cancelled(quits=True)
+    return state
 
 
 class PlacedPicture:

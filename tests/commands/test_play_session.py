@@ -35,6 +35,7 @@ class EmptyWorld(FakeView):
 
     def __init__(self, scene, *, reserve=(), **options):
         super().__init__(scene=scene, reserve=tuple(reserve), light=None, added=[], told=[], adopted=None, closed=False)
+        self.editor = self.registry = self
         if scene == "fails":
             raise BadInput("it fails on the device")
         if scene == "slow":
@@ -53,7 +54,7 @@ class EmptyWorld(FakeView):
     def guests(self):
         return [asset for asset, _ in self.added]
 
-    def add_body(self, asset, name=""):
+    def add(self, asset, name=""):
         if asset == "large" and asset not in self.reserve:
             raise CapacityError("no capacity")
         self.added.append((asset, name))

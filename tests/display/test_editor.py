@@ -419,7 +419,7 @@ def test_a_body_of_the_users_joins_over_the_play_and_can_be_taken_back(play):
     world, before = play.world, play.motion()
     with compiled() as kernels:
         world.editor.begin_frame()
-        world.add_body("ball", "my ball")
+        world.editor.add("ball", "my ball")
         play.step(2)
     assert kernels == []
     new = world.bodies()[2]

@@ -12,7 +12,7 @@ import numpy as np
 
 from assets.asset import Asset
 from assets.file_access import check_writable
-from assets.library import SHIPPED_FOLDER, default_material, find_asset
+from assets.library import default_material, find_asset
 from commands import options as cli
 from commands.prepared import cached_body, is_asset
 from core.errors import BadInput
@@ -27,16 +27,13 @@ SUBJECTS = {
     "render": ("bench.render_speed", "a headset's picture, both eyes"),
     "frame": ("bench.frame_time", "a headset's whole frame, ring toss"),
     "demos": ("bench.demos", "the paper's nine demos, beside its figures"),
-    "popping": ("bench.popping", "flicker when the head turns, by sort mode"),
     "train": ("bench.training_speed", "training on captures: quality, speed, memory, time by stage"),
 }
-DINING_ROOM = SHIPPED_FOLDER / "dining_room.h5"
 Act = Literal["drop", "throw", "squeeze", "stack"]
 RoomSize = Literal["0.305M", "1.313M", "2.526M"]
 NAMED = ("demos", "train")  # subjects that take names
 TAKERS = {  # subjects that take an option, of those that not all take
     ("demos",): ("--detail",),
-    ("popping",): ("--splats",),
     ("sim", "scene"): ("--sizes",),
     ("scene",): ("--asset", "--materials", "--acts", "--bodies"),
     ("scene", "demos"): ("--frames", "--quick"),
@@ -59,12 +56,11 @@ class BenchOptions(cli.Options):
         for takers, flags in TAKERS.items()
     )
 
-    subject: Literal["sim", "scene", "render", "frame", "demos", "popping", "train"] = cli.argument(
+    subject: Literal["sim", "scene", "render", "frame", "demos", "train"] = cli.argument(
         None, "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
     )
     names: list[str] = cli.argument("NAME", "demos: which (default: all that are there); train: captures", [])
     detail: cli.Detail = cli.option(None, "demos: assets as shipped, or at the paper's sizes", "shipped")
-    splats: Path = cli.option("SPLATS", "popping: what to draw (default: the dining room)", DINING_ROOM)
     sizes: list[str] | None = cli.option("N", "vertices; sim: of 1.7k 9.3k 24k 46k; scene: any (default 10k 20k 46k)")
     asset: list[str] | None = cli.option("FILE", "scene: splats, bodies (.h5), or ball, mug, ring, bunny, capsule")
     materials: list[str] = cli.option("NAME", "scene: (default: plush rubber wood)", ["plush", "rubber", "wood"])

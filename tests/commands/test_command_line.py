@@ -78,12 +78,9 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     *((f"prepare a --cache {o}", "belongs to --out") for o in ("--force", "--quantised", "--static --up +y")),
     ("prepare a --cache --static --scale 1", "--scale belongs to --out"),
     ("prepare a --out b.h5 --static --landmarks l.json", "with --static nothing is simulated"),
+    *((f"bench frame {o}", "belongs to bench") for o in ("--detail paper", "--sizes 3", "--asset a", "--acts drop")),
     *(
         (f"bench frame {o}", "belongs to bench")
-        for o in ("--detail paper", "--splats s", "--sizes 3", "--asset a", "--acts drop")
-    ),
-    *(
-        (f"bench popping {o}", "belongs to bench")
         for o in ("--materials wood", "--bodies d", "--frames 3", "--quick", "--gaussians 1.313M", "--size 32x32")
     ),
     *((f"bench demos {o}", "belongs to bench") for o in ("--rounds 3", "--gaussians 1.313M")),

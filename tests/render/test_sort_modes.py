@@ -5,6 +5,7 @@ import pytest
 
 from core.camera import Camera
 from tests.render.test_projection import CAMERA, gaussians
+from tests.support import popping
 from tests.support import reference_render as reference
 from tests.support.drawing import Drawing
 
@@ -73,7 +74,6 @@ def test_a_camera_that_looks_elsewhere_is_still_the_same_eye():
 def test_the_measure_of_popping_sees_what_sorting_by_distance_avoids(ti_cpu):
     """Large translucent Gaussians of many colours, for which the order matters."""
     from assets.gaussians import Gaussians
-    from bench import popping
     from display.viewed_file import camera_around
 
     rng = np.random.default_rng(5)

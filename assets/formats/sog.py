@@ -38,44 +38,27 @@ ZIP_ENCRYPTED = 1  # flag of an entry
 ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, RuntimeError, OverflowError)
 
 
-class ZipArchive:
-    """A ZIP archive opened for reading, as a context; every defect is BadInput and names `path`."""
+def read_entry(path: Path, archive: zipfile.ZipFile, name: str, size_max: int) -> bytes:
+    """The content of an entry of a ZIP archive, of at most `size_max` bytes, checked before unpacking.
 
-    def __init__(self, path: Path, file) -> None:
-        self.path = path
-        try:
-            self._zip = zipfile.ZipFile(file)
-        except ZIP_ERRORS as e:
-            raise BadInput(f"{path}: not a ZIP archive, or a truncated one") from e
-
-    def __enter__(self) -> ZipArchive:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._zip.close()
-
-    def names(self) -> list[str]:
-        """Names of all entries."""
-        return self._zip.namelist()
-
-    def read(self, name: str, *, size_max: int) -> bytes:
-        """The content of an entry of at most `size_max` bytes, checked before unpacking. Raises BadInput."""
-        try:
-            entry = self._zip.getinfo(name)
-        except KeyError as e:
-            raise BadInput(f"{self.path}: holds no {name[:60]!r}") from e
-        if entry.compress_type not in ZIP_METHODS or entry.flag_bits & ZIP_ENCRYPTED:
-            raise BadInput(f"{self.path}: {name[:60]!r} is encrypted or of a method of compression that is not read")
-        if entry.file_size > size_max:
-            raise BadInput(f"{self.path}: {name[:60]!r} claims {entry.file_size} bytes, more than {size_max}")
-        try:
-            with self._zip.open(entry) as content:
-                data = content.read(entry.file_size)
-                if len(data) < entry.file_size or content.read(1):
-                    raise BadInput(f"{self.path}: {name[:60]!r} is not of the size that the archive claims")
-        except ZIP_ERRORS as e:
-            raise BadInput(f"{self.path}: {name[:60]!r} is damaged") from e
-        return data
+    Raises BadInput, which names `path`.
+    """
+    try:
+        entry = archive.getinfo(name)
+    except KeyError as e:
+        raise BadInput(f"{path}: holds no {name[:60]!r}") from e
+    if entry.compress_type not in ZIP_METHODS or entry.flag_bits & ZIP_ENCRYPTED:
+        raise BadInput(f"{path}: {name[:60]!r} is encrypted or of a method of compression that is not read")
+    if entry.file_size > size_max:
+        raise BadInput(f"{path}: {name[:60]!r} claims {entry.file_size} bytes, more than {size_max}")
+    try:
+        with archive.open(entry) as content:
+            data = content.read(entry.file_size)
+            if len(data) < entry.file_size or content.read(1):
+                raise BadInput(f"{path}: {name[:60]!r} is not of the size that the archive claims")
+    except ZIP_ERRORS as e:
+        raise BadInput(f"{path}: {name[:60]!r} is damaged") from e
+    return data
 
 
 class Images:
@@ -159,16 +142,19 @@ def read_sog(path: str | Path, report: Report = print) -> Gaussians:
             meta = _meta(path, file.read(META_MAX + 1))
             beside = sum(f.stat().st_size for f in path.parent.iterdir() if f.is_file())
         return _decode(Images(path, meta, lambda name: _beside(path, name), unpack_bound(beside)), report)
-    with open_input(path) as file, ZipArchive(path, file) as archive:
-        names = [n for n in archive.names() if PurePosixPath(n).name == "meta.json"]
+    with open_input(path) as file:
+        try:
+            archive = zipfile.ZipFile(file)
+        except ZIP_ERRORS as e:
+            raise BadInput(f"{path}: not a ZIP archive, or a truncated one") from e
+        names = [n for n in archive.namelist() if PurePosixPath(n).name == "meta.json"]
         if not names:
             raise BadInput(f"{path}: holds no meta.json")
-        first = min(names, key=len)
-        meta = _meta(path, archive.read(first, size_max=META_MAX))
-        bytes_max, folder = unpack_bound(file_size(path)), first[: -len("meta.json")]
-        return _decode(
-            Images(path, meta, lambda name: archive.read(folder + name, size_max=bytes_max), bytes_max), report
-        )
+        first, bytes_max = min(names, key=len), unpack_bound(file_size(path))
+        meta = _meta(path, read_entry(path, archive, first, META_MAX))
+        folder = first[: -len("meta.json")]
+        images = Images(path, meta, lambda name: read_entry(path, archive, folder + name, bytes_max), bytes_max)
+        return _decode(images, report)
 
 
 def _beside(path: Path, name: str) -> bytes:

@@ -116,14 +116,15 @@ def foot_of(x: np.ndarray, mass: np.ndarray) -> np.ndarray:
     low = x[:, 1] - x[:, 1].min()
     order, middle = np.argsort(low), (mass @ x / mass.sum())[[0, 2]]
     fewest = max(int((low <= FOOT_HEIGHT * low.max()).sum()), 3)
-
-    def carries(count: int) -> bool:
-        """True if the middle of its mass lies above the convex hull of the lowest vertices: not in a half plane."""
-        angle = np.sort(np.arctan2(*(x[order[:count]][:, [0, 2]] - middle).T))
-        return np.diff(angle, append=angle[0] + 2 * np.pi).max() < np.pi
-
-    count = bisect_left(range(len(x)), True, lo=fewest, hi=len(x) - 1, key=carries)
+    own = x[order][:, [0, 2]]
+    count = bisect_left(range(len(x)), True, lo=fewest, hi=len(x) - 1, key=lambda n: holds_centre(own[:n], middle))
     return low <= low[order[count - 1]]
+
+
+def holds_centre(points: np.ndarray, centre: np.ndarray) -> bool:
+    """True if a point (2,) lies within the convex hull of points (N, 2): they are not in a half plane."""
+    angle = np.sort(np.arctan2(*(points - centre).T))
+    return bool(np.diff(angle, append=angle[0] + 2 * np.pi).max() < np.pi)
 
 
 def unit_stiffness(x: np.ndarray, tets: np.ndarray, poisson: float) -> csr_matrix:

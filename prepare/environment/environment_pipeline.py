@@ -7,6 +7,7 @@ bodies drop and the user's eye.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -249,14 +250,19 @@ def level_surface(surface: Surface, low: np.ndarray, high: np.ndarray) -> tuple[
 
 
 def fine_boxes(
-    surface: Surface, planes: list[SupportPlane], on: SupportPlane, drop: np.ndarray
+    surface: Surface,
+    planes: list[SupportPlane],
+    on: SupportPlane | None,
+    drop: np.ndarray,
+    near: Sequence[tuple[np.ndarray, np.ndarray]] = (),
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Corners (low, high) [m] of the boxes with fine grids: around a drop on the floor, tables and shelves."""
-    boxes = [box_around(p, surface.spacing) for p in planes[1:]]
-    if on.kind == "floor":
-        r = FLOOR_FINE_RADIUS
-        boxes.insert(0, (drop - [r, FINE_MARGIN[1], r], drop + [r, FINE_MARGIN[2], r]))
-    return boxes
+    """Corners (low, high) [m] of the boxes with fine grids: around those of objects `near`, a drop on the floor, tables
+    and shelves."""
+    (side, below, above), r = FINE_MARGIN, FLOOR_FINE_RADIUS
+    boxes = [(low - side, high + side) for low, high in near]
+    if on is not None and on.kind == "floor":
+        boxes.append((drop - [r, below, r], drop + [r, above, r]))
+    return boxes + [box_around(p, surface.spacing) for p in planes if p.kind != "floor"]
 
 
 def distance_grids(

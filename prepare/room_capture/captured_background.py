@@ -19,10 +19,9 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import (
     BELOW_FLOOR,
-    FINE_MARGIN,
     Surface,
-    box_around,
     distance_grids,
+    fine_boxes,
     level_surface,
     orient_surface,
     plane_row,
@@ -205,21 +204,6 @@ def is_open(space: VoxelGrid, point: np.ndarray) -> bool:
     """True if a point (3,) [m] lies in the open space."""
     i = np.floor((point - space.origin) / space.spacing).astype(int)
     return bool((i >= 0).all() and (i < space.occupied.shape).all() and space.occupied[tuple(i)])
-
-
-def fine_boxes(
-    surface: Surface,
-    planes: list[SupportPlane],
-    on: SupportPlane | None,
-    drop: np.ndarray,
-    near: Sequence[tuple[np.ndarray, np.ndarray]],
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Corners (low, high) [m] of the boxes that get fine grids: around objects, the drop, and tables and shelves."""
-    side, below, above = FINE_MARGIN
-    boxes = [(low - side, high + side) for low, high in near]
-    if on is not None:
-        boxes.append((drop - [0.5, below, 0.5], drop + [0.5, above, 0.5]))
-    return boxes + [box_around(p, surface.spacing) for p in planes if p.kind != "floor"]
 
 
 def view_of(view: RoomView) -> tuple[tuple, tuple, float]:

@@ -22,7 +22,7 @@ from core.errors import BadInput
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
 from core.tetmesh import tet_volumes
 from prepare.cage.cage_generation import NoSoundCage
-from prepare.own_weight import liftable, steady
+from prepare.own_weight import holds_centre, liftable, steady
 from prepare.pipeline import Options, prepare
 from prepare.progress import Progress, no_progress
 
@@ -85,12 +85,6 @@ def middle_of(points: np.ndarray) -> np.ndarray:
 def widths(g: Gaussians) -> np.ndarray:
     """Two standard deviations [m] along the middle axis of each Gaussian, (N,): how far its disc is seen."""
     return 2.0 * np.exp(np.sort(g.log_scales, axis=1)[:, 1].astype(np.float64))
-
-
-def holds_centre(points: np.ndarray, centre: np.ndarray) -> bool:
-    """True if a point (2,) lies within the convex hull of points (N, 2)."""
-    angle = np.sort(np.arctan2(*(points - centre).T))
-    return bool(np.diff(angle, append=angle[0] + 2 * np.pi).max() < np.pi)  # they are not in a half plane
 
 
 def object_body(

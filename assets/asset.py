@@ -197,11 +197,8 @@ class Asset:
             quantised = _version(file) == QUANTISED
             gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
             sort = file.text("", "sort") if file.has_text("", "sort") else ""
-            gaussians = replace(
-                gaussians,
-                objects=(file.json("", "objects", tuple[str, ...]) if file.has_text("", "objects") else ()),
-                sort=sort,
-            )
+            objects = file.json("", "objects", tuple[str, ...]) if file.has_text("", "objects") else ()
+            gaussians = replace(gaussians, objects=objects, sort=sort)
             cage = _read_cage(file) if file.has("cage") else None
             embedding = None
             if file.has("embedding"):

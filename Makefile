@@ -25,9 +25,9 @@ soak: $(VENV)/.ready-tests
 nightly: $(VENV)/.ready-tests
 	@$(PYTHON) -m tests.pins
 	@$(PYTHON) -m tests.fuzz.run --cases 100000
-	@$(PYTHON) -m tests.faults.kill --kills 200
-	@$(PYTHON) -m tests.faults.disk_full
-	@$(PYTHON) -m tests.faults.together --rounds 100
+	@$(PYTHON) -m tests.faults.run kill
+	@$(PYTHON) -m tests.faults.run full
+	@$(PYTHON) -m tests.faults.run together --count 100
 	@$(PYTHON) -m tests.soak.endurance --minutes 480
 
 studio: $(VENV)/.ready-tests $(VENV)/.ready-studio

@@ -25,10 +25,11 @@ from core.rotation import rotation_between
 from core.runtime import end_taichi, start_taichi
 from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import Marks, marks_json, read_marks
-from prepare.segment.mask_files import photograph_size, read_masks
+from prepare.segment.mask_files import read_masks
 from prepare.segment.object_ids import masks_beside
 from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import checked, read_capture, read_colmap
+from prepare.train.photographs import image_size
 from prepare.train.structure_from_motion import (
     find_poses,
     image_folder,
@@ -219,7 +220,7 @@ class RoomMaking:
 
     def check_points(self, views: list) -> None:
         """Check points of --scale-points. Raises BadInput."""
-        check_points(self.options.scale_points, {view.name: photograph_size(view)[::-1] for view in views})
+        check_points(self.options.scale_points, {view.name: image_size(view.image) for view in views})
 
     def look(self):
         """Contributions of the Gaussians to the photographs."""
@@ -404,7 +405,7 @@ def without_poses(images: Path) -> list[View]:
     views = []
     for name in photographs_in(images):
         view = View(images / name, Lens(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4))
-        height, width = photograph_size(view)
+        width, height = image_size(view.image)
         views.append(View(view.image, Lens(width, height, width, width, 0.5 * width, 0.5 * height), np.eye(4)))
     return views
 
@@ -428,7 +429,7 @@ def objects_of(options: CaptureOptions, capture: Capture, place: Path, say: Say)
     """
     if options.no_objects:
         return None, None
-    sizes = {view.name: photograph_size(view)[::-1] for view in capture.views}
+    sizes = {view.name: image_size(view.image) for view in capture.views}
     marks = options.marks or (place if options.masks is None and place.is_file() else None)
     if marks is not None:
         return read_marks(marks, sizes), None

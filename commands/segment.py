@@ -84,13 +84,12 @@ def segment_capture(options: SegmentOptions) -> None:
     from prepare.segment.mask_files import (
         check_masks_folder,
         overlap_of,
-        photograph_size,
         read_masks,
         write_masks,
     )
     from prepare.segment.mask_propagation import grab_cut, propagate_marks
     from prepare.train.capture_files import read_capture
-    from prepare.train.photographs import load_photograph
+    from prepare.train.photographs import image_size, load_photograph
 
     check_masks_folder(options.out)
     if options.overlay is not None:
@@ -98,7 +97,7 @@ def segment_capture(options: SegmentOptions) -> None:
             raise BadInput(f"{options.overlay}: the sheet's name must end in .png or .html")
         check_writable(options.overlay)
     capture = read_capture(options.capture)
-    sizes = {v.name: photograph_size(v)[::-1] for v in capture.views}
+    sizes = {v.name: image_size(v.image) for v in capture.views}
     truth = None if options.compare is None else read_masks(options.compare, capture.views)
     cut = grab_cut
     if options.model is not None:

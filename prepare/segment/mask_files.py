@@ -13,11 +13,10 @@ from typing import Annotated
 import numpy as np
 
 from assets.file_access import make_folder, part_beside, read_json, reason_of
-from assets.images import read_image_header
 from core.errors import BadInput
 from core.typed import Range, Size, from_plain
 from prepare.train.capture import View
-from prepare.train.photographs import HEADER_BYTES, image_size, read_image
+from prepare.train.photographs import image_size, read_image
 
 NAMES_FILE = "objects.json"
 OBJECTS_MAX = 255  # ids fit a byte, 0 is the background
@@ -72,15 +71,9 @@ def overlap_of(found: Masks, truth: Masks) -> dict[str, float]:
 
 def object_colors(count: int) -> np.ndarray:
     """Colours of `count` objects, (count, 3) uint8 RGB: distinct, none of them black."""
-    k = np.arange(count)[:, None]
-    rest = 55 + (k * (67, 101, 149) + (23, 89, 5)) % 200  # periods of 200: distinct for 200 objects a colour
-    colors = np.where(k < len(COLORS), np.resize(np.array(COLORS), (count, 3)), rest)
-    taken: set[tuple] = set()
-    for row in colors:
-        while tuple(row) in taken:
-            row[0] = 55 + (row[0] - 54) % 200
-        taken.add(tuple(row))
-    return colors.astype(np.uint8)
+    lattice = np.stack(np.meshgrid(*[np.arange(70, 251, 30)] * 3), axis=-1).reshape(-1, 3)  # has none of COLORS
+    rest = np.random.default_rng(0).permutation(lattice)
+    return np.concatenate([np.array(COLORS), rest])[:count].astype(np.uint8)
 
 
 def check_name(name: str, where: str) -> None:
@@ -89,19 +82,6 @@ def check_name(name: str, where: str) -> None:
         raise BadInput(
             f"{where}: {name!r:.80} cannot be an object's name: 1 to 64 characters without / \\ : * ? \" < > |"
         )
-
-
-def photograph_size(view: View) -> tuple[int, int]:
-    """(height, width) of a photograph as it was taken. Raises BadInput."""
-    try:
-        with open(view.image, "rb") as file:
-            header = read_image_header(file.read(HEADER_BYTES))
-    except OSError as e:
-        raise BadInput(f"{view.image}: cannot be read ({e.strerror})") from e
-    if header is not None:
-        return header.height, header.width
-    width, height = image_size(view.image)
-    return height, width
 
 
 def mask_file(folder: Path, view: View) -> Path:
@@ -222,7 +202,7 @@ def _read_colors(path: Path, view: View) -> np.ndarray | None:
     if not path.is_file():
         return None
     pixels, _ = read_image(path)
-    height, width = photograph_size(view)
+    width, height = image_size(view.image)
     if pixels.shape[:2] != (height, width):
         raise BadInput(f"{path}: the mask is {pixels.shape[1]}x{pixels.shape[0]}, its photograph {width}x{height}")
     return _codes(pixels)

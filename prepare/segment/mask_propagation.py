@@ -12,7 +12,7 @@ from core.errors import BadInput
 from core.threads import in_threads
 from prepare.progress import Progress, no_progress
 from prepare.segment.marks import Marks, drawn_boxes, drawn_strokes
-from prepare.segment.mask_files import Masks, object_colors, photograph_size
+from prepare.segment.mask_files import Masks, object_colors
 from prepare.segment.surface_cloud import (
     POINTS,
     SurfaceCloud,
@@ -24,7 +24,7 @@ from prepare.segment.surface_cloud import (
     surface_cloud,
 )
 from prepare.train.capture import Capture
-from prepare.train.photographs import Photograph
+from prepare.train.photographs import Photograph, image_size
 
 MARGIN = 0.3  # object sizes around an object from which the background's colours are learned
 SURE = 0.2  # a pixel is disputed if its second label is at least this probable
@@ -276,7 +276,7 @@ class MarkPropagation:
     def _straight(self, k: int, points: np.ndarray) -> np.ndarray:
         """Places in the undistorted picture of view `k` of places in its photograph."""
         view, camera = self.capture.views[k], self.cameras[k]
-        height, width = photograph_size(view)
+        width, height = image_size(view.image)
         lens = view.lens.resized(width, height, str(view.image))
         return lens.undistort_points(points) * (camera.width / width, camera.height / height)
 
@@ -358,7 +358,7 @@ class MarkPropagation:
         import cv2
 
         view = self.capture.views[k]
-        height, width = photograph_size(view)
+        width, height = image_size(view.image)
         if ids.shape != (height, width):
             scores = [
                 cv2.resize((ids == label).astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -33,7 +32,7 @@ from prepare.segment.graph_cut import mahalanobis
 from prepare.segment.marks import SplatMarks, ViewMarks
 from prepare.segment.mask_files import object_colors
 from prepare.segment.object_ids import split
-from prepare.segment.splat_selection import Seeds, SplatSelection, ViewSeeds, seeds_of, view_seeds
+from prepare.segment.splat_selection import Seeds, SplatSelection, ViewSeeds, view_seeds
 
 RESERVED = ("background", "scene")  # names of output files
 OVERLAY = 0.55  # opacity of an object's colour over the picture
@@ -58,33 +57,14 @@ def segment_splat(gaussians: Gaussians, marks: SplatMarks, report: Callable[[str
 
     Raises BadInput for marks without a Gaussian under them, and for an object that ends up empty.
     """
-    selection = SplatSelection(gaussians)
-    weights = BlendingWeights(gaussians)
-    names = list(marks.marks.objects)
-    seeds = [seeds_of(gaussians, weights, marks.cameras, marks.marks.objects[name]) for name in names]
-    weights.destroy()
-    ids = np.zeros(len(gaussians), np.uint16)
-    for k, (name, own) in enumerate(zip(names, seeds, strict=True), 1):
-        start = perf_counter()
-        ids[selected(selection, name, own, seeds, ids, marks.grow.get(name, 0))] = k
-        count = int((ids == k).sum())
-        if count < SMALLEST:
-            raise BadInput(f"{name!r}: only {count} Gaussians are left of it; mark more of it")
-        report(f"{name}: {count:,} Gaussians, {perf_counter() - start:.1f} s")
-    selection.destroy()
-    return with_ids(gaussians, ids, names)
-
-
-def selected(selection: SplatSelection, name: str, own: Seeds, seeds: list[Seeds], ids, rings: int) -> np.ndarray:
-    """Gaussians (N,) bool of an object, none of those that `ids` (N,) give to another one. Raises BadInput."""
-    others = np.zeros(len(ids), bool)
-    for other in seeds:
-        if other is not own:
-            others |= other.inside
-    if not own.inside.any():
-        raise BadInput(f"{name!r}: no Gaussian lies under its marks inside")
-    cut = selection.select(own.inside & ~others, own.outside | others, own.barred | (ids > 0))
-    return selection.grown(cut, rings) & (ids == 0)
+    live, names = LiveSelection(gaussians), list(marks.marks.objects)
+    counts = live.select(marks, {name: k for k, name in enumerate(names, 1)})
+    live.destroy()
+    for name in names:
+        if counts.get(name, 0) < SMALLEST:
+            raise BadInput(f"{name!r}: only {counts.get(name, 0)} Gaussians are left of it; mark more of it")
+        report(f"{name}: {counts[name]:,} Gaussians")
+    return with_ids(gaussians, live.ids, names)
 
 
 def with_ids(gaussians: Gaussians, ids: np.ndarray, names: list[str]) -> SegmentedSplat:
@@ -164,7 +144,11 @@ class LiveSelection:
         ]
         ids = np.zeros_like(self.ids)
         for name, own in zip(objects, seeds, strict=True):
-            ids[selected(self._selection, name, own, seeds, ids, marks.grow.get(name, 0))] = numbers[name]
+            if not own.inside.any():
+                raise BadInput(f"{name!r}: no Gaussian lies under its marks inside")
+            others = np.logical_or.reduce([np.zeros(len(ids), bool), *(s.inside for s in seeds if s is not own)])
+            cut = self._selection.select(own.inside & ~others, own.outside | others, own.barred | (ids > 0))
+            ids[self._selection.grown(cut, marks.grow.get(name, 0)) & (ids == 0)] = numbers[name]
         self.ids = ids
         self._drawn.recolour(painted(replace(self._gaussians, object_id=ids), max(numbers.values())).sh)
         return {name: int((ids == numbers[name]).sum()) for name in objects}

@@ -11,7 +11,7 @@ In a large splat this is done twice: with some of the Gaussians, and with all of
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,11 +135,6 @@ class Seeds:
             if view.barred is not None:
                 self.barred |= view.barred
         self.inside &= ~self.outside
-
-
-def seeds_of(gaussians: Gaussians, weights, cameras: Mapping[str, Camera], marks: Mapping[str, ViewMarks]) -> Seeds:
-    """Seeds of an object by its marks in all views; `weights` are BlendingWeights of the Gaussians."""
-    return Seeds(len(gaussians), [view_seeds(gaussians, weights, cameras[name], mark) for name, mark in marks.items()])
 
 
 def view_seeds(gaussians: Gaussians, weights, camera: Camera, marks: ViewMarks) -> ViewSeeds:

@@ -77,13 +77,12 @@ class GradientStep:
         mask, mask_scale  `packed_labels` of the photograph and the factor of its loss: labels are compared, too
         """
         rows, passes = (self.population.frozen, self.population.count), self.draw(camera)
-        if mask is None:
-            passes.compute(photograph, camera.height, camera.width, *rows, scale, DSSIM_WEIGHT)
-        else:
+        if mask is not None:
             passes.labels.draw()
-            passes.compute_blend(photograph, camera.height, camera.width, rows[1], scale, DSSIM_WEIGHT)
+        passes.compute_blend(photograph, camera.height, camera.width, rows[1], scale, DSSIM_WEIGHT)
+        if mask is not None:
             passes.labels.backward(mask, rows[1], camera.height, camera.width, mask_scale)
-            passes.compute_projection(*rows)
+        passes.compute_projection(*rows)
 
     def update_labels(self, step: int) -> None:
         """A step of Adam, counted from 1, for the labels with the gradients of the last `compute` with a mask."""
@@ -158,16 +157,6 @@ class _BackwardPass:
         self.gradients.destroy()
         self.blend.destroy()
 
-    @ti.kernel
-    def compute(
-        self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32, begin: ti.i32, end: ti.i32,
-        scale: ti.f32, dssim: ti.f32,
-    ):  # fmt: skip
-        self._compare(photograph, height, width, scale, dssim)
-        self.blend.clear(0, end)
-        self.blend.backward()
-        self.gradients.backward(begin, end)
-
     @ti.func
     def _compare(self, photograph: ti.template(), height: ti.i32, width: ti.i32, scale: ti.f32, dssim: ti.f32):
         """Write the gradient with respect to the picture, through its exposure; outermost level of a kernel."""
@@ -183,7 +172,7 @@ class _BackwardPass:
         self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32, end: ti.i32, scale: ti.f32,
         dssim: ti.f32,
     ):  # fmt: skip
-        """The first half of `compute`: labels add their gradients before the second."""
+        """Gradients of the splats; labels add theirs before `compute_projection`."""
         self._compare(photograph, height, width, scale, dssim)
         self.blend.clear(0, end)
         self.blend.backward()

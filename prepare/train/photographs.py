@@ -96,9 +96,13 @@ def kept_for_test(items: list, every: int) -> tuple[list, list]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) of an image file. Raises BadInput."""
-    height, width = read_image(path)[1].shape
-    return width, height
+    """(width, height) of an image file, by its header if that is known. Raises BadInput."""
+    try:
+        with open(path, "rb") as file:
+            header = read_image_header(file.read(HEADER_BYTES))
+    except OSError as e:
+        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
+    return (header.width, header.height) if header else read_image(path)[1].shape[::-1]
 
 
 def read_image(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -101,6 +101,12 @@ class Quality:
     l1: float
 
 
+def quality_of(sums: np.ndarray) -> Quality:
+    """Mean quality by the sums (4,) of an ImageLoss."""
+    values = 3.0 * max(float(sums[3]), 1.0)
+    return Quality(-10.0 * np.log10(max(sums[1] / values, 1e-12)), sums[2] / values, sums[0] / values)
+
+
 class Trainer:
     """Trains Gaussians on photographs; call `step` once for each of `options.steps`.
 
@@ -200,15 +206,11 @@ class Trainer:
 
     def quality(self, photograph: Photograph) -> Quality:
         """Quality of the current rendering of a photograph."""
-        sums = self.gradients.compare(packed(photograph), photograph.camera)
-        values = 3.0 * max(float(sums[3]), 1.0)
-        return Quality(-10.0 * np.log10(max(sums[1] / values, 1e-12)), sums[2] / values, sums[0] / values)
+        return quality_of(self.gradients.compare(packed(photograph), photograph.camera))
 
     def recent_loss(self) -> Quality:
         """Mean quality over the steps since the last call."""
-        sums = self.gradients.take_sums()
-        values = 3.0 * max(float(sums[3]), 1.0)
-        return Quality(-10.0 * np.log10(max(sums[1] / values, 1e-12)), sums[2] / values, sums[0] / values)
+        return quality_of(self.gradients.take_sums())
 
     def gaussians(self) -> Gaussians:
         """The current Gaussians, with the sort they were trained for."""

@@ -24,12 +24,13 @@ from prepare.segment.splat_segmentation import (
 )
 from prepare.segment.splat_selection import (
     SEEN,
+    Seeds,
     SplatSelection,
     ViewsAround,
     border_costs,
     distances,
-    seeds_of,
     stroke_weights,
+    view_seeds,
 )
 
 CAMERA = perspective(160, 120, 0.9, look_at((0.0, 0.9, 1.2), (0.0, 0.1, 0.0)))
@@ -299,7 +300,7 @@ def test_a_gaussian_under_strokes_of_both_sides_seeds_the_side_that_clearly_has_
 
     mark = ViewMarks(inside=[np.zeros((1, 2))], outside=[np.ones((1, 2))])
     g = surfels(np.zeros((5, 3)), np.tile([0.0, 1.0, 0.0], (5, 1)), 0.01, (0.5, 0.5, 0.5))
-    seeds = seeds_of(g, Weights(), {"view": CAMERA}, {"view": mark})
+    seeds = Seeds(len(g), [view_seeds(g, Weights(), CAMERA, mark)])
     assert seeds.inside.tolist() == [True, False, False, True, False]
     assert seeds.outside.tolist() == [False, True, False, False, False]
 

@@ -102,9 +102,6 @@ class KinematicTargets:
                 self.state.v[i] = 0.0
                 self.driven[i] = 0
 
-    def destroy(self) -> None:
-        self._group.destroy()
-
 
 @ti.data_oriented
 class Skinning:

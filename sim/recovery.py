@@ -20,7 +20,7 @@ from core.fields import FieldGroup, Upload
 from core.quaternion import polar_quaternion
 from sim.elastic.damping import Damping
 from sim.model import MAX_BODIES, Model
-from sim.reductions import Reductions, finite
+from sim.reductions import CENTER, SHAPE, VELOCITY, Reductions, finite
 from sim.state import State
 from sim.time_step import lame
 
@@ -84,9 +84,6 @@ class NonFiniteRecovery:
                         ti.atomic_add(self.count[None], 1)
                 elif self.condition[b] == 0:
                     self.good[i] = s.x[i]
-
-    def destroy(self) -> None:
-        self._group.destroy()
 
 
 DURATION = 0.6  # [s] from the last inverted tet on
@@ -226,7 +223,7 @@ class Untangling:
         total = ti.static(self.reductions.total)
         for b in range(MAX_BODIES):
             if b < s.body_count[None] and s.untangling[b]:
-                A = ti.Matrix([[total[b, 6 + 3 * k + l] for l in range(3)] for k in range(3)])
+                A = ti.Matrix([[total[b, SHAPE + 3 * k + l] for l in range(3)] for k in range(3)])
                 self.quaternion[b] = polar_quaternion(A)
                 self.farthest[b] = 0.0
         for i in range(s.V):
@@ -238,8 +235,8 @@ class Untangling:
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
                 if s.untangling[b] and s.inv_mass[i] > 0.0:
-                    center = ti.Vector([total[b, k] for k in range(3)])
-                    goal = ti.Vector([total[b, 3 + k] for k in range(3)])
+                    center = ti.Vector([total[b, CENTER + k] for k in range(3)])
+                    goal = ti.Vector([total[b, VELOCITY + k] for k in range(3)])
                     goal += self.damping.omega[b].cross(s.x[i] - center)
                     # one time for the whole body: displacements that were cut one by one would push it aside
                     goal += self._to_rest_shape(i, b) / ti.max(TIME_CONSTANT, self.farthest[b] / MAX_SPEED)
@@ -250,8 +247,5 @@ class Untangling:
         """Displacement [m] of vertex i to its place in the rest shape of body b, fitted to the body."""
         s, q = self.state, self.quaternion[b]
         u, r = ti.Vector([q[1], q[2], q[3]]), s.rest[i] - self.reductions.rest_center[b]
-        center = ti.Vector([ti.static(self.reductions.total)[b, k] for k in range(3)])
+        center = ti.Vector([ti.static(self.reductions.total)[b, CENTER + k] for k in range(3)])
         return center + r + 2.0 * (q[0] * u.cross(r) + u.cross(u.cross(r))) - s.x[i]
-
-    def destroy(self) -> None:
-        self._group.destroy()

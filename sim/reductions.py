@@ -17,9 +17,11 @@ from sim.state import State
 BLOCK_SIZE = 64  # vertices
 FLOAT_MAX = 3.0e38  # larger than any distance, finite in float32
 MIN_MOTION = 1e-5  # [m] smaller motions are invisible
-# By `observe`: of the first body, 1 if any vertex moved; of each, state.inverted, asleep and rest_time
+# Where the values of one body begin: centre of mass [m], its velocity [m/s], sum m x (rest - its centre)^T (9), lowest
+# and highest coordinates [m] (3 each), 1 if all is finite ...
+CENTER, VELOCITY, SHAPE, LOW, HIGH, FINITE = 0, 3, 6, 15, 18, 21
+# ... and by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted, asleep and rest_time
 ANY_MOVED, INVERTED, ASLEEP, REST_TIME = 22, 23, 24, 25
-# Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, these
 VALUES = 26
 
 
@@ -88,9 +90,6 @@ class ReductionBlocks:
             total += partial[j, k]
         return total
 
-    def destroy(self) -> None:
-        self._group.destroy()
-
 
 class Observation:
     """`moved` and `bodies` of the solver at a time, by a look at the device, which is waited for once they are wanted.
@@ -124,13 +123,13 @@ class Observation:
 
 @ti.data_oriented
 class Reductions:
-    """Sums over each body, for `bodies()`, `moved()`, `pick()` of the solver."""
+    """Sums over each body, for `bodies`, `observe` and `pick` of the solver."""
 
     def __init__(self, state: State, blocks: ReductionBlocks):
         self.state, self.blocks = state, blocks
         g = self._group = FieldGroup()
         self.rest_center = g.vector(MAX_BODIES)  # centre of mass in the body's frame [m]
-        self.last = g.vector(state.V)  # positions when `moved` was last true [m]
+        self.last = g.vector(state.V)  # positions when `Observation.moved` was last true [m]
         self.partial, self.total = g.scalar(blocks.size, VALUES), g.scalar(MAX_BODIES, VALUES)
         self.any_moved = g.scalar(dtype=ti.i32)
         self.distance, self.hit = g.scalar(), g.scalar(dtype=ti.i32)  # of the last `pick`
@@ -154,13 +153,15 @@ class Reductions:
     def states(self, total: np.ndarray, held: list[bool]) -> list[BodyState]:
         """States of the bodies, from `total`."""
         total, states = total[: len(self.names)].astype(np.float64), []
-        finite = total[:, 21] > 0
+        finite = total[:, FINITE] > 0
         rotations = np.broadcast_to(np.eye(3), (len(total), 3, 3)).copy()
-        rotations[finite] = best_fit_rotation(total[finite, 6:15].reshape(-1, 3, 3))
+        rotations[finite] = best_fit_rotation(total[finite, SHAPE:LOW].reshape(-1, 3, 3))
         for name, t, R, n, holds, driven in zip(
             self.names, total, rotations, self.flattest, held, self.driven, strict=True
         ):
-            states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], R @ n, holds, driven))
+            states.append(
+                BodyState(name, t[:VELOCITY], t[VELOCITY:SHAPE], t[LOW:HIGH], t[HIGH:FINITE], R @ n, holds, driven)
+            )
         return states
 
     def observe(self, held: list[bool]) -> "Observation":
@@ -188,7 +189,7 @@ class Reductions:
         """Lowest and highest coordinates of each body [m], (B, 2, 3)."""
         if self._boxes is None:
             self.sum_up()
-            self._boxes = self.total.to_numpy()[: len(self.names), 15:21].reshape(-1, 2, 3)
+            self._boxes = self.total.to_numpy()[: len(self.names), LOW:FINITE].reshape(-1, 2, 3)
         return self._boxes
 
     def forget(self) -> None:
@@ -198,10 +199,7 @@ class Reductions:
     def finite(self) -> bool:
         """Return whether every position and velocity is finite."""
         self.sum_up()
-        return bool(self.total.to_numpy()[: len(self.names), 21].all())
-
-    def destroy(self) -> None:
-        self._group.destroy()
+        return bool(self.total.to_numpy()[: len(self.names), FINITE].all())
 
     @ti.kernel
     def sum_up(self):
@@ -248,39 +246,30 @@ class Reductions:
                         bad = 1.0
                 i += c.lanes
             for k in ti.static(range(3)):
-                c.write_sum(self.partial, j, k, p[k], lane)
-                c.write_sum(self.partial, j, 3 + k, q[k], lane)
+                c.write_sum(self.partial, j, CENTER + k, p[k], lane)
+                c.write_sum(self.partial, j, VELOCITY + k, q[k], lane)
                 low[k], high[k] = -max_lanes(-low[k], c.lanes), max_lanes(high[k], c.lanes)
                 for l in ti.static(range(3)):
-                    c.write_sum(self.partial, j, 6 + 3 * k + l, A[k, l], lane)
+                    c.write_sum(self.partial, j, SHAPE + 3 * k + l, A[k, l], lane)
             bad = max_lanes(bad, c.lanes)
             if lane == 0:
                 for k in ti.static(range(3)):
-                    self.partial[j, 15 + k], self.partial[j, 18 + k] = low[k], high[k]
-                self.partial[j, 21] = 1.0 - bad
+                    self.partial[j, LOW + k], self.partial[j, HIGH + k] = low[k], high[k]
+                self.partial[j, FINITE] = 1.0 - bad
         for w in range(MAX_BODIES * VALUES * c.lanes):
             bk, lane = w // c.lanes, w % c.lanes
             b, k = bk // VALUES, bk % VALUES
             if b < s.body_count[None] and k < ANY_MOVED:
                 value = 0.0
-                if k < 15:
+                if k < LOW:
                     value = c.sum_by_lanes(self.partial, b, k, lane)
                 else:
-                    sign = -1.0 if k < 18 or k == 21 else 1.0  # the least
+                    sign = -1.0 if k < HIGH or k == FINITE else 1.0  # the least
                     value = sign * c.max_by_lanes(self.partial, b, k, sign, lane)
-                if k < 6:
+                if k < SHAPE:
                     value /= s.body_mass[b]
                 if lane == 0:
                     self.total[b, k] = value
-
-    def moved(self) -> bool:
-        """Return whether any vertex moved more than MIN_MOTION since the last call that returned True."""
-        self._compare()
-        return bool(self.any_moved[None])
-
-    @ti.kernel
-    def _compare(self):
-        self._find_motion()
 
     @ti.func
     def _find_motion(self):

@@ -183,12 +183,8 @@ class Solver:
         """Centroid, velocity, bounds and axis of each body, and whether a hand holds it."""
         return self._reductions.bodies(self._held())
 
-    def moved(self) -> bool:
-        """Return whether any vertex moved more than 1e-5 m since this last returned True."""
-        return self._reductions.moved()
-
     def observe(self) -> Observation:
-        """`moved` and `bodies`, with one wait for the device instead of two, when they are wanted."""
+        """`bodies`, and whether any vertex moved by 1e-5 m, with one wait for the device when they are wanted."""
         return self._reductions.observe(self._held())
 
     def pick(self, origin, direction) -> tuple[float, int] | None:

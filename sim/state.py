@@ -202,10 +202,6 @@ class State:
             converges = dt * ti.sqrt(self.kappa[b]) <= MAX_LAGGING_STABILITY
             self.stress_lag[b] = ti.max(dt - self.retardation[b], 0.0) if converges else 0.0
 
-    def destroy(self) -> None:
-        """Free the device memory; no kernel may touch this state afterwards."""
-        self.fields.destroy()
-
 
 MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot
 

@@ -175,6 +175,3 @@ class Damping:
                         change += self.rocking_change[b].cross(s.x[i] - self.pressure_center[b])
                     s.v[i], s.v_lo[i] = two_sum(s.v[i], s.v_lo[i] + change)
                 s.predict(i)
-
-    def destroy(self) -> None:
-        self._group.destroy()

@@ -229,9 +229,6 @@ class Elasticity:
         """Correction of vertex i [m]: w_i times the sum of its slots."""
         return self.state.inv_mass[i] * self.add_slots(i, ti.Vector([0.0, 0.0, 0.0]))
 
-    def destroy(self) -> None:
-        self._group.destroy()
-
 
 def slots_of(shape: RestShape) -> tuple[np.ndarray, np.ndarray]:
     """Slot of each tet corner (T, 4) and first slot of each vertex (V+1,): the slots of a vertex lie together."""

@@ -172,9 +172,6 @@ class Patches:
                 total[c] += shared[6 * MAX_LOCAL + c * MAX_SLOTS + slot]
         return total
 
-    def destroy(self) -> None:
-        self._group.destroy()
-
 
 class TablesOf:
     """The tables of the last bodies, kept while the bodies' arrays are the same objects: a scaled body has those of the

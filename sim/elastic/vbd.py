@@ -336,11 +336,6 @@ class VBDSubsteps:
 
         return end
 
-    def destroy(self) -> None:
-        self.descent.destroy()
-        self.modal.destroy()
-        self._group.destroy()
-
 
 def color_vertices(tets: np.ndarray, movable: np.ndarray) -> np.ndarray:
     """Colours (V,) such that no two vertices of a tet share one; -1 where a vertex is not movable (V,) bool.

@@ -242,7 +242,3 @@ class PersistentXPBD:
                 self.patches.publish(i, x, v, dx, 1 - parity)
             i += self.grid.block
         return passed
-
-    def destroy(self) -> None:
-        self.grid.destroy()
-        self.patches.destroy()

@@ -17,4 +17,4 @@ def test_contacts_of_fingers_read_nothing_outside_of_their_fields():
         finger = Touch((0.0, 0.03, 0.0), (0.0, 0.13, 0.0), R)
         for _ in range(3):
             solver.step(DT, [Hand(touch=(finger,))])
-        assert solver.moved()
+        assert solver.observe().moved

@@ -32,7 +32,7 @@ from sim.reductions import Observation, ReductionBlocks, Reductions
 from sim.rigid.rigid_bodies import MAX_RIGID_SUBSTEP, RigidBodies, passes_for
 from sim.rigid.rigid_body import RigidBody
 from sim.sleeping import Sleeping
-from sim.state import MOTION, MotionArrays, State, motion_of
+from sim.state import MOTION, State, motion_of
 from sim.time_step import STABILITY_LIMIT, SWEEPS, Integration, Schedule, choose_integration
 
 MAX_FRAME_DT = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
@@ -101,7 +101,6 @@ class Solver:
         self._rigid_editing = RigidEditing(s)
         self._integrators: dict = {}  # each made at its first use
         self._last_schedule = (0, 0.0)  # substeps of the last frame, and their length [s]
-        self._motion = MotionArrays(s)
         self._load(first)
         self.reset()
 
@@ -316,7 +315,7 @@ class Solver:
         Impulses of contacts are not kept: a restored state evolves identically each time, but contacts converge
         to their loads again in the first substeps.
         """
-        motion = dict(zip(MOTION, self._motion.read(), strict=True))
+        motion = dict(zip(MOTION, self.state.read_motion(), strict=True))
         return {
             **motion,
             "bodies": self._model.bodies,
@@ -343,7 +342,7 @@ class Solver:
 
         So the user waits before the first picture, and never during play.
         """
-        self._motion.read()
+        self.state.read_motion()
         for part in (self._rigid_editing, self.untangling, *self._constraints):
             part.warm_up()
         self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
@@ -411,7 +410,7 @@ class Solver:
     ) -> None:
         if self._model.bodies != models:
             self._load(Model(models))
-        self._motion.write(motion)
+        self.state.write_motion(motion)
         self._reductions.forget()
         self._recovery.begin()
         self.kinematic.end_frame()
@@ -425,7 +424,7 @@ class Solver:
         return len(bodies.models) - 1
 
     def _moving_bodies(self) -> MovingBodies:
-        motion = self._motion.read()
+        motion = self.state.read_motion()
         motions = np.split(motion, self._model.vertex_begin[1:-1], axis=1) if self._model.bodies else ()
         return MovingBodies(self._model.bodies, tuple(motions), self._grasps())
 
@@ -441,7 +440,8 @@ class Solver:
 
     def _fit_rigid_bodies(self) -> None:
         """Put the rigid bodies where their vertices are."""
-        self.rigid_bodies.set_motion(*self._motion.read_exactly())
+        x, x_lo, v, v_lo = self.state.read_motion().astype(np.float64)
+        self.rigid_bodies.set_motion(x + x_lo, v + v_lo)
 
     def _grasps(self) -> GraspState | None:
         return None if self.contacts is None else self.contacts.grasps()

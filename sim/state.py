@@ -36,6 +36,12 @@ if TYPE_CHECKING:
 # dt sqrt(max kappa) up to which the stress may lag, three times what XPBD bears. Beyond, the sweeps of VBD leave too
 # much undone: of an undamped bar of 12 x 4 x 4 cells, energy stayed within 1% at 1.1, and grew a thousandfold at 4.5.
 MAX_LAGGING_STABILITY = 1.0
+MOTION = (
+    "x",
+    "x_lo",
+    "v",
+    "v_lo",
+)  # arrays of a snapshot: what float32 holds of positions and velocities, and what is lost
 SERIAL_BELOW = 3000  # tets of the first bodies: under this, waking the CPU's worker threads costs more than they save
 
 
@@ -105,6 +111,8 @@ class State:
         self.body_count = g.scalar(dtype=ti.i32)
         g.build()
         self._upload: Upload | None = None
+        motion = [getattr(self, name) for name in MOTION]
+        self._download_motion, self._upload_motion = Download(motion), Upload(motion)
 
     def load(self, model: "Model") -> None:
         """Take these bodies, of which only the motion is left to be set."""
@@ -113,6 +121,14 @@ class State:
             self._upload = Upload([getattr(self, name) for name in columns])
         self._upload(list(columns.values()))
         self.sizes = model.sizes
+
+    def read_motion(self) -> np.ndarray:
+        """The motion of all vertices, (4, V, 3) float32 in the order of MOTION."""
+        return self._download_motion(self.sizes.vertices)
+
+    def write_motion(self, motion: Sequence[np.ndarray]) -> None:
+        """Set the motion of all vertices, four arrays (V, 3)."""
+        self._upload_motion(list(motion))
 
     def check_capacity(self, sizes: Sizes) -> None:
         """Raise CapacityError if this much does not fit."""
@@ -201,34 +217,6 @@ class State:
             self.speed_limit[b] = self.max_step[b] / ti.min(dt, stable)
             converges = dt * ti.sqrt(self.kappa[b]) <= MAX_LAGGING_STABILITY
             self.stress_lag[b] = ti.max(dt - self.retardation[b], 0.0) if converges else 0.0
-
-
-MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot
-
-
-class MotionArrays:
-    """Motion of all vertices as the host sees it, (4, V, 3) float32 in the order of MOTION.
-
-    Each quantity is a pair of arrays, of which the second holds what lies below the last bit of the first.
-    """
-
-    def __init__(self, state: State):
-        self.state = state
-        fields = [getattr(state, name) for name in MOTION]
-        self._download, self._upload = Download(fields), Upload(fields)
-
-    def read(self) -> np.ndarray:
-        """The motion of all vertices."""
-        return self._download(self.state.sizes.vertices)
-
-    def read_exactly(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions [m] and velocities [m/s] of all vertices, (V, 3) float64."""
-        x, x_lo, v, v_lo = self.read().astype(np.float64)
-        return x + x_lo, v + v_lo
-
-    def write(self, motion: Sequence[np.ndarray]) -> None:
-        """Set the motion of all vertices, four arrays (V, 3)."""
-        self._upload(list(motion))
 
 
 def motion_of(snapshot: dict, vertices: int) -> list[np.ndarray]:

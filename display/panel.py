@@ -31,6 +31,7 @@ READ_INTERVAL = 0.5  # [s] between two readings of the timings: faster ones cann
 RESOLUTIONS = {"Auto": None, "Full": 1.0, "3/4": 0.75, "1/2": 0.5}  # scale of a side of the picture
 RESOLUTION_TIP = "Size of the drawn picture, on each side: fewer pixels are faster."
 AUTO_TIP = "Fewer pixels while things move, if that is slow; all of them once they are still."
+COUNTS = ("gaussians", "vertices", "tets", "substeps")  # of a world's statistics
 GRAVITY_MAX = 20.0  # [m/s^2] of the slider: twice the earth's
 LIGHT_RANGE = 4.0  # [m] of the light's sliders around the scene's target
 HUNDREDTHS = {"shadow": ("strength", 100.0, "%"), "edge": ("softness", 20.0, "cm")}  # field, largest, unit
@@ -38,9 +39,10 @@ INTERACTIONS = {
     "Physics": "Bodies deform, collide and fall.",
     "Transform": "A body that you hold moves rigidly; nothing deforms.",
 }
-KINDS = get_args(get_type_hints(Export)["kind"])
+EXPORT_PREFIX = "export ."
+EXPORTS = tuple(EXPORT_PREFIX + kind for kind in get_args(get_type_hints(Export)["kind"]))
 CAGES = ("vtu", "obj")  # exports without colours
-KIND_TIP = "ply, spz, splat: Gaussians as they are now. vtu: cages with their fields. obj: surfaces of the cages."
+EXPORT_TIP = "ply, spz, splat: Gaussians as they are now. vtu: cages with their fields. obj: surfaces of the cages."
 SCENE_PICTURES = Path(registry.__file__).parent / "pictures"
 
 
@@ -161,7 +163,7 @@ class Panel:
 
     def __init__(self, *, gizmo: bool = False):
         self.gizmo, self.resolution, self.fps = gizmo, "Auto", 0.0
-        self._kind, self._selected_only, self._shadows = KINDS[0], False, True  # of an export
+        self._export, self._selected_only, self._shadows = EXPORTS[0], False, True
         self._read = -READ_INTERVAL  # [s] when the numbers were read
         self._stages: list[tuple[str, float, float]] = []
         self._lines: list[str] = []
@@ -176,7 +178,9 @@ class Panel:
         now = perf_counter()
         if now - self._read >= READ_INTERVAL:
             self._read, self.fps, self._stages = now, world.timings.recent_fps(), world.timings.recent()
-            self._lines = [*frame_lines(world.timings), ", ".join(count_texts(world.stats()))]
+            stats = world.stats()
+            counts = [f"{stats[name]:,} {name}" for name in COUNTS if name in stats]
+            self._lines = [*frame_lines(world.timings), ", ".join(counts)]
 
     def sections(self, world: WorldView) -> list[Section]:
         """All that this world has a use for, from top to bottom."""
@@ -217,20 +221,27 @@ class Panel:
         ]
         if not world.editable:
             return Section("Keep", [ButtonGrid(buttons)])
-        export = Export(self._kind, world.selected if self._selected_only else None, self._shadows)
+        kind = self._export.removeprefix(EXPORT_PREFIX)
+        export = Export(kind, world.selected if self._selected_only else None, self._shadows)
         buttons += [
             Button("Save", [user_commands.SaveState()], "The state of the scene (Ctrl+S)."),
             Button("Load", [user_commands.LoadState()], "Continue from the last one (Ctrl+L)."),
             Button("Export", [export], "For other programs, as chosen below (Ctrl+E)."),
         ]
-        kinds = {f"export .{kind}": "" for kind in KINDS}
         rows: list[Row] = [
             ButtonGrid(buttons),
-            Choice("export", kinds, f"export .{self._kind}", self._choose_kind, listed=True, tip=KIND_TIP),
+            Choice(
+                "export",
+                dict.fromkeys(EXPORTS, ""),
+                self._export,
+                partial(self._set, "_export"),
+                listed=True,
+                tip=EXPORT_TIP,
+            ),
         ]
         if world.selected is not None:
             rows.append(Toggle("selected body only", self._selected_only, partial(self._set, "_selected_only")))
-        if self._kind not in CAGES:
+        if kind not in CAGES:
             rows.append(Toggle("with shadows", self._shadows, partial(self._set, "_shadows")))
         return Section("Keep", rows)
 
@@ -246,9 +257,6 @@ class Panel:
         """Set a choice of the display; there is no command for the world."""
         setattr(self, name, value)
         return []
-
-    def _choose_kind(self, shown: str) -> list[Command]:
-        return self._set("_kind", shown.removeprefix("export ."))
 
 
 def play_section(world: WorldView) -> Section:
@@ -439,11 +447,6 @@ def frame_lines(timings: Timings) -> list[str]:
     if timings.dropped >= 0.1:
         lines.append(f"{timings.dropped:.1f} s left out: too slow for real time")
     return lines
-
-
-def count_texts(stats: dict) -> list[str]:
-    """Counts of a world as they are shown: "12,345 gaussians"."""
-    return [f"{stats[name]:,} {name}" for name in ("gaussians", "vertices", "tets", "substeps") if name in stats]
 
 
 def score_and_message(world: WorldView) -> tuple[str, str]:

@@ -328,9 +328,17 @@ class PageServer:
         silent = logging.getLogger("vrgs.web")  # strangers' faulty requests are no news
         silent.addHandler(logging.NullHandler())
         silent.propagate = False
-        options = {"compression": None, "max_size": MESSAGE_BYTES, "server_header": None, "logger": silent}
-        options |= {"close_timeout": 1, "ping_timeout": PING_TIMEOUT}
-        async with serve(self._attend, sock=self._socket, process_request=self._answer, **options):
+        async with serve(
+            self._attend,
+            sock=self._socket,
+            process_request=self._answer,
+            compression=None,
+            max_size=MESSAGE_BYTES,
+            server_header=None,
+            logger=silent,
+            close_timeout=1,
+            ping_timeout=PING_TIMEOUT,
+        ):
             await self._ended.wait()
 
     def _answer(self, connection, request):

@@ -67,17 +67,16 @@ class Controls:
 
     `drag` is "grab", "turn", "look", "pan" or None, `panel` whether the panel is on view, `help` whether the list of
     keys is, `gizmo` which one is (GIZMOS), `quit` whether to end. `orbit` is the camera of the scene, of which the
-    preferences keep bookmarks under its `name`.
+    preferences keep bookmarks under its `name`. Esc closes the `dialog` (an OpenDialog) while it is shown.
     """
 
-    def __init__(self, scene: Scene, preferences: Preferences | None = None, name: str = ""):
-        self._preferences, self.hand = preferences or Preferences(), MouseHand()
+    def __init__(self, scene: Scene, preferences: Preferences | None = None, name: str = "", dialog=None):
+        self._preferences, self._dialog, self.hand = preferences or Preferences(), dialog, MouseHand()
         self.drag: str | None = None
         self.panel = True
         self.help = False
         self.gizmo: str | None = None
         self.menu = self.asks_file = False
-        self.dialog = None  # that asks something
         self.measured: list[np.ndarray] | None = None  # points (3,) whose distance sets the size; None: none are asked
         self.quit = False
         self._followed: tuple | None = None  # the last view that the world wanted
@@ -220,10 +219,10 @@ class Controls:
             self.help = False
         elif self.measured is not None:
             self.measured = None
-        elif self.menu or self.dialog is not None:
+        elif self.menu:
             self.menu = False
-            if self.dialog is not None:
-                self.dialog.close()
+        elif self._dialog is not None and self._dialog.shown:
+            self._dialog.close()
         elif press.world.opening:
             return [user_commands.CancelOpening()]
         elif self.gizmo is not None:

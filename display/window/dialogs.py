@@ -100,7 +100,7 @@ class OpenDialog:
         """Close the dialog and forget what was asked."""
         self.shown, self._problem, self._asked = False, "", []
 
-    def draw(self, world: WorldView) -> list[Command]:
+    def draw(self) -> list[Command]:
         """Draw the dialog; the commands of what was chosen."""
         if self._system is not None and self._system.ready(0):
             chosen, self._system = self._system.result(), None
@@ -241,21 +241,18 @@ class UpChoice:
 
 
 class SceneMenu:
-    """`shown` while it is open; `draw` gives the command of the scene that was chosen.
+    """The scenes, each with a picture, a line and its options; `draw` gives the command of the one that was chosen.
 
     gl  the context (moderngl) of its pictures
     """
 
     def __init__(self, gl):
         self._gl = gl
-        self.shown = False
         self._options: dict[str, dict] = {}  # of each scene, as chosen here
         self._textures: dict[Path, object] = {}
 
-    def draw(self, world: WorldView) -> list[Command]:
+    def draw(self) -> list[Command]:
         """Draw the menu; the command to open a scene."""
-        if not self.shown:
-            return []
         from imgui_bundle import imgui
 
         area, edge = imgui.get_io().display_size, pixels(MARGIN)
@@ -277,8 +274,6 @@ class SceneMenu:
                 commands += self._cell(demo)
             imgui.end_table()
         imgui.end()
-        if commands:
-            self.shown = False
         return commands
 
     def _cell(self, demo: Demo) -> list[Command]:

@@ -60,13 +60,12 @@ class Window:
         self._texture = PictureTexture(self._surface.gl)
         self._menu, self._open_dialog = SceneMenu(self._surface.gl), OpenDialog(self._preferences)
         self._up_choice, self._length_dialog = UpChoice(self._surface.gl), LengthDialog()
-        self._dialog_shown = False
         opened = self._preferences.get("panel.sections", dict[str, bool], {})
         self._panel = PanelDrawer(title, self._surface.scale, Panel(gizmo=True), opened)
         self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
         self._hover = Hover()
         self._resolution = WindowResolution()
-        self._controls = Controls(scene, self._preferences, name)
+        self._controls = Controls(scene, self._preferences, name, self._open_dialog)
         self._controls.panel = self._preferences.get("panel.open", bool, True)
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
@@ -196,22 +195,18 @@ class Window:
         world.timings.frame(missed=None if self._busy else 0, dropped=self._dropped)  # at rest nobody misses a picture
 
     def _draw_dialogs(self, world: WorldView) -> list[Command]:
-        """Draw the menu of scenes and the dialog of files, of which one is open at most; what was chosen there."""
-        controls, menu, dialog = self._controls, self._menu, self._open_dialog
+        """Draw the menu of scenes or the dialog of files, and what else is asked; returns what was chosen there."""
+        controls, dialog = self._controls, self._open_dialog
         if controls.asks_file:
-            controls.asks_file = controls.menu = False
+            controls.asks_file = False
             dialog.ask()
-        if dialog.shown and not self._dialog_shown:
-            controls.menu = False
-        menu.shown = controls.menu
-        commands = menu.draw(world) + dialog.draw(world) + self._up_choice.draw(world)
+        controls.menu = controls.menu and not dialog.shown
+        chosen = self._menu.draw() if controls.menu else []
+        controls.menu = controls.menu and not chosen
         measured, over = self._length_dialog.draw(controls.measured)
-        commands += measured
-        controls.measured = None if over else controls.measured
-        controls.menu = menu.shown
-        self._dialog_shown = dialog.shown
-        controls.dialog = dialog if dialog.shown else None
-        return commands
+        if over:
+            controls.measured = None
+        return [*chosen, *dialog.draw(), *self._up_choice.draw(world), *measured]
 
     def _camera_moved(self) -> bool:
         """True if the last frame's camera differed from the one before it."""

@@ -22,8 +22,8 @@ def test_a_body_and_a_room_are_opened_at_once_and_of_a_splat_it_is_asked(dialog,
     Asset(some_gaussians(5)).save(tmp_path / "room.h5")
     dialog.offer([str(find_asset("ball")), str(tmp_path / "room.h5")])
     assert not dialog.shown
-    assert dialog.draw(None) == [AddBody(str(find_asset("ball"))), SwapRoom(str(tmp_path / "room.h5"))]
-    assert dialog.draw(None) == []
+    assert dialog.draw() == [AddBody(str(find_asset("ball"))), SwapRoom(str(tmp_path / "room.h5"))]
+    assert dialog.draw() == []
     dialog.offer([str(tmp_path / "cat.ply")])
     assert dialog.shown and not dialog._commands
     dialog.close()

@@ -23,7 +23,7 @@ from sim.contact.narrow_phase import DeformableContact, StaticContact
 from sim.contact.static_shapes import MAX_SHAPES, Shape, StaticShapes
 from sim.elastic.substep import Constraint
 from sim.hands.finger_contact import FingerContact
-from sim.hands.grasp import Grasps, GraspState
+from sim.hands.grasp import Grasps
 from sim.model import MAX_BODIES, Capacity, Model, fit
 from sim.rigid.rigid_bodies import RigidBodies, RigidShapes
 from sim.rigid.rigid_broad_phase import GROUPS, RigidBroadPhase, slot_count
@@ -115,22 +115,6 @@ class Contacts(Constraint):
             self.self_collision.load(model)
         self.reset()
 
-    def grasps(self) -> GraspState:
-        """Grasps of all hands, as a value."""
-        return self.hands.get_state()
-
-    def restore_grasps(self, grasps: GraspState) -> None:
-        """Hold what `grasps` says, and nothing else."""
-        self.hands.set_state(grasps)
-
-    def grasped_bodies(self) -> list[int]:
-        """The body that each hand holds, -1 for none."""
-        return self.hands.grasped_bodies()
-
-    def tracked_hands(self) -> list[Hand | None]:
-        """The hands with the poses that they count as having: where one is that the tracking has lost."""
-        return list(self.hands.last)
-
     def begin_frame(self, hands: list[Hand], dt: float, substeps: int) -> None:
         self.hands.begin_frame(hands, dt, substeps > 0)
         if self.fingers is not None:
@@ -165,13 +149,14 @@ class Contacts(Constraint):
     def detect(self) -> None:
         if self.anything:
             self._begin_search()
-            if self.fingers is not None and self.fingers.due:
-                self.fingers.prepare()
+            touching = self.fingers is not None and self.fingers.capsules.present
+            if touching:
+                self.fingers.begin_search()
             self.deformable.detect(self.constraints)
             if self.coupled:
                 self.rigid_search.find()
-            if self.fingers is not None and self.fingers.due:
-                self.fingers.detect()
+            if touching:
+                self.fingers.end_search()
 
     @ti.kernel
     def _begin_search(self):

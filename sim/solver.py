@@ -158,7 +158,7 @@ class Solver:
         grasped, tracked = [], hands
         if self.contacts is not None:
             self.contacts.begin_frame(hands, dt, 0)
-            grasped, tracked = self.contacts.grasped_bodies(), self.contacts.tracked_hands()
+            grasped, tracked = self.contacts.hands.grasped_bodies(), list(self.contacts.hands.last)
         if self._rigid_editing.step(tracked, grasped):
             self.wake()
         if any(b >= 0 and self._model.bodies[b].body.rigid for b in grasped):
@@ -435,7 +435,7 @@ class Solver:
         for c in self._constraints:
             c.reset()
         if self.contacts is not None and grasps is not None:
-            self.contacts.restore_grasps(grasps)
+            self.contacts.hands.set_state(grasps)
         self.integrator.reset()
 
     def _fit_rigid_bodies(self) -> None:
@@ -444,13 +444,13 @@ class Solver:
         self.rigid_bodies.set_motion(x + x_lo, v + v_lo)
 
     def _grasps(self) -> GraspState | None:
-        return None if self.contacts is None else self.contacts.grasps()
+        return None if self.contacts is None else self.contacts.hands.get_state()
 
     def _asleep(self) -> np.ndarray:
         return self._reductions.flags()[1, : len(self._model.bodies)] > 0
 
     def _grasped_bodies(self) -> set[int]:
-        return set() if self.contacts is None else {*self.contacts.grasped_bodies()} - {-1}
+        return set() if self.contacts is None else {*self.contacts.hands.grasped_bodies()} - {-1}
 
     def _held(self) -> list[bool]:
         grasped = self._grasped_bodies()

@@ -17,13 +17,11 @@ from taichi.math import vec3
 from core.fields import FieldGroup
 from core.vocabulary import Hand
 from sim.contact.broad_phase import BodyBounds, outside_box
-from sim.contact.constraints import ContactConstraints
+from sim.contact.constraints import FORCE_STEP, ContactConstraints
 from sim.contact.finger_capsules import MAX_SAMPLE_FORCE, SAMPLES_PER_HAND, FingerCapsules
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, known
 from sim.hands.grasp import MAX_HAND_FORCE
 from sim.rigid.rigid_bodies import FREE
-
-FORCE_STEP = 1e-6  # [N] of the integer sums of forces
 
 
 @ti.data_oriented
@@ -55,7 +53,6 @@ class FingerContact:
         self.pressed, self.total = group.scalar(H, dtype=ti.i64), group.scalar(H, 3, dtype=ti.i64)
         self._group = group
         group.build()
-        self._compiled = False
         self.reset()
 
     def reset(self) -> None:
@@ -70,25 +67,13 @@ class FingerContact:
         if was_present and not self.capsules.present:
             self.reset()
 
-    @property
-    def due(self) -> bool:
-        """True if there is anything to search for; always at first, so that kernels are compiled before a touch."""
-        return self.capsules.present or not self._compiled
-
-    def prepare(self) -> None:
-        """Begin a search: the capsules' boxes, and how hard they may press. The bodies' bounds must be up to date."""
+    def begin_search(self) -> None:
+        """Find the capsules' boxes, and how hard they may press. The bodies' bounds must be up to date."""
         self.capsules.sweep()
-        self._begin_search()
-
-    def detect(self) -> None:
-        """End a search, after that for tets, with the one for rigid bodies."""
-        self._find_rigid_bodies()
-        if not self._compiled:
-            self._sum()
-            self._compiled = True
+        self._limit_forces()
 
     @ti.kernel
-    def _begin_search(self):
+    def _limit_forces(self):
         f = self.capsules
         for h in range(self.hands):
             self.pressed[h] = 0
@@ -103,7 +88,8 @@ class FingerContact:
                 f.spared[h] = f.held[h]
 
     @ti.kernel
-    def _find_rigid_bodies(self):
+    def end_search(self):
+        """Find the rigid bodies that samples may touch; after the search for tets."""
         f = self.capsules
         for p in range(self.count if ti.static(self.coupled) else 0):
             if ti.static(self.coupled):
@@ -192,5 +178,8 @@ class FingerContact:
                 ti.atomic_add(self.total[p // SAMPLES_PER_HAND, axis], ti.cast(-force[axis] / FORCE_STEP, ti.i64))
 
     def warm_up(self) -> None:
-        """See Solver.warm_up; the search does it for itself."""
+        """See Solver.warm_up."""
+        self.begin_search()
+        self.end_search()
+        self._sum()
         self.total.to_numpy()

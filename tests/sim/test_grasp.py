@@ -32,7 +32,7 @@ def begin(solver):
 
 def grasped(solver):
     """Bodies in the first two hands, -1 for none."""
-    return solver.contacts.grasped_bodies()[:2]
+    return solver.contacts.hands.grasped_bodies()[:2]
 
 
 def play(solver, seconds, *paths, grip=True, reach=0.04, turn=None):
@@ -66,7 +66,7 @@ def test_a_hand_out_of_reach_grips_nothing(solver):
 def test_a_small_reach_takes_the_nearest_vertices(solver):
     """Over a corner, 2 cm from the next vertices: within 1.6 cm lies one, within half as much again two more."""
     play(solver, DT, still(0.03, 0.065, 0.03), reach=0.016)
-    x = solver.x.to_numpy()[solver.contacts.grasps().grasps[0].vertices]  # of the first body
+    x = solver.x.to_numpy()[solver.contacts.hands.grasps[0].vertices]  # of the first body
     assert_allclose(x[np.lexsort(x.T)], [[0.03, 0.06, 0.01], [0.01, 0.06, 0.03], [0.03, 0.06, 0.03]], atol=1e-4)
 
 

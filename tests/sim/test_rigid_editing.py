@@ -46,7 +46,7 @@ def gripped(solver):
     a, b = np.array([-BESIDE, SIDE / 2, 0]), np.array([BESIDE, SIDE / 2, 0])
     hold(solver, a, b, (False, False))
     x = hold(solver, a, b)
-    assert solver.contacts.grasped_bodies()[:2] == [0, 0]
+    assert solver.contacts.hands.grasped_bodies()[:2] == [0, 0]
     return a, b, x
 
 

@@ -2,7 +2,10 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import meshio
@@ -42,6 +45,7 @@ from display.user_commands import (
     rotation_step,
 )
 from render import MOVING_SORT
+from scenes import registry
 from scenes.scene import Scene
 from sim.state import MOTION
 from sim.time_step import lame
@@ -312,3 +316,34 @@ def test_a_state_of_another_scene_or_other_files_changes_nothing(world, saved, t
         np.testing.assert_equal(value, before[name], err_msg=name)
     world.apply([LoadState("")])
     assert "No state" in world.notice
+
+
+ROOT = Path(__file__).resolve().parents[2]
+DT = 1 / 60
+SECOND_HALF = 20  # frames
+FIRST_HALVES = {  # frames after which a hand holds something, or a body dances, or bricks are falling
+    "ring_toss": 70,
+    "table_brick_game": 100,
+    "just_dance": 90,
+    "animal_crossing": 40,
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FIRST_HALVES)
+def test_a_demo_goes_on_in_another_program_bit_for_bit(ti_cpu, tmp_path, name):
+    from display.world import World
+
+    world, first = World(registry.load(name), width=32, height=18), FIRST_HALVES[name]
+    for k in range(1, first + SECOND_HALF + 1):
+        commands = [SaveState()] if k == first else []
+        world.step(Frame(DT, k * DT, [], world.scripted_hands(k * DT), commands))
+        if k == first:
+            write_state(tmp_path / "state.h5", state_of(world, {"scene": name}))
+    words = ["--headless", "--state", "state.h5", "--frames", str(SECOND_HALF), "--save-state", "end.h5"]
+    command = [sys.executable, str(ROOT / "vrgs.py"), *words, "--arch", "cpu", "--size", "32x18"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    expected, there = state_of(world, {"scene": name}), read_state(tmp_path / "end.h5")
+    np.testing.assert_array_equal(there.motion, expected.motion)
+    assert [b.asleep for b in there.bodies] == [b.asleep for b in expected.bodies]
+    assert there.settings.time == expected.settings.time and there.settings.game == expected.settings.game

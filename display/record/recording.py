@@ -39,7 +39,8 @@ class Recording:
         self.frames = 0
         self._world, self._dt = None, 0.0  # of the last frame
         self._new: dict[str, list] = {name: [] for name in DATASETS}
-        self._since = self._written = 0.0  # [s] of recorded time
+        self._since = 0.0  # [s] of recorded time since the last state
+        self._stated = 0  # frames until then
         self._writer, self._closed = ThreadPoolExecutor(1), False
         self._blocks = 0  # in the journal
         try:
@@ -100,22 +101,15 @@ class Recording:
         self.frames += 1
         self._world = world
         self._since += self._dt
-        self._written += self._dt
         if self._since >= WRITE_PERIOD - 1e-6 or self.frames == 1:
-            self._state(world)
-        if self._written >= WRITE_PERIOD - 1e-6 or self.frames == 1:
             self._write()
 
-    def _state(self, world) -> None:
-        self._since = 0.0
-        bodies = world.bodies()
+    def _write(self) -> None:
+        """Record the state, and pass the new rows to the writer thread, for which no frame waits."""
+        self._since, self._stated, bodies = 0.0, self.frames, self._world.bodies()
         self._new["states/frame"].append(self.frames - 1)
         self._new["states/count"].append(len(bodies))
         self._new["states/centroids"].extend(np.asarray(b.centroid, np.float64) for b in bodies)
-
-    def _write(self) -> None:
-        """Pass new rows to the writer thread, for which no frame waits."""
-        self._written = 0.0
         new, self._new = self._new, {name: [] for name in DATASETS}
         self._writer.submit(self._append, new)
 
@@ -124,12 +118,11 @@ class Recording:
         if self._journal is None:
             return
         columns = {name: np.array(rows, DATASETS[name][1]) for name, rows in new.items() if rows}
-        if self._blocks == 0 and columns:
+        if self._blocks == 0:
             columns["about"] = np.frombuffer(json.dumps(self.about).encode(), np.uint8)
         try:
-            if columns:
-                self._journal.append(columns)
-                self._blocks += 1
+            self._journal.append(columns)
+            self._blocks += 1
         except OSError as e:
             what = "the recording ends here" if self._blocks else "nothing is recorded"
             print(f"{self.path}: {what} ({reason_of(e)})", file=sys.stderr)
@@ -155,19 +148,11 @@ class Recording:
         if self._closed:
             return
         self._closed = True
-        self._finish()
-        self._write()
+        if self._stated < self.frames:
+            self._write()
         self._writer.shutdown()  # waits
         if self._journal is not None:
             self._end()
-
-    def _finish(self) -> None:
-        """Record the last state; an incomplete frame is left out."""
-        new = self._new
-        if self._world is None:
-            return
-        if self._since > 0.0 or new["states/frame"][-1:] != [self.frames - 1]:
-            self._state(self._world)
 
 
 def why_it_is_there(part: Path) -> str:

@@ -16,7 +16,7 @@ from core.errors import BadInput
 from core.planes import LEVEL_COS, weighted_percentile
 
 FINE_GRIDS_MAX = 16
-PLANE_KINDS = ("floor", "table", "shelf", "unseen")
+PLANE_KINDS = ("floor", "table", "shelf")
 # Planes and places of a room that has been tilted
 OPAQUE = 0.3  # fainter Gaussians are haze
 PLANE_REACH = 0.3  # [m] over and under a tilted plane's middle in which its level part is looked for
@@ -35,9 +35,7 @@ class Environment:
     drop_point    on a table or the floor, with a free disc around it, (3,)
     eye_position  of the user, (3,)
     clear_radius  of the free disc
-    planes        level planes, the floor first: (kind, height, x low, z low, x high, z high). One of the kind "unseen"
-                  carries what is played with where nothing solid is
-    target        that the user looks at from `eye_position`, where the view was searched, (3,); None: the drop point
+    planes        level planes, the floor first: (kind, height, x low, z low, x high, z high)
     fine_grids    distance grids finer than the asset's own, where that one defers to them
     """
 
@@ -47,7 +45,6 @@ class Environment:
     clear_radius: float
     planes: tuple[tuple, ...] = ()
     fine_grids: tuple[DistanceGrid, ...] = ()
-    target: tuple[float, float, float] | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Environment:
@@ -64,7 +61,7 @@ class Environment:
         """
 
         def at(point):
-            return point and tuple((scale * rotation @ np.array(point) + translation).tolist())
+            return tuple((scale * rotation @ np.array(point) + translation).tolist())
 
         planes = []
         for kind, height, x0, z0, x1, z1 in self.planes:
@@ -79,7 +76,6 @@ class Environment:
             scale * self.clear_radius,
             tuple(planes),
             tuple(grid.transformed(rotation, translation, scale) for grid in self.fine_grids),
-            at(self.target),
         )
 
     def relevelled(self, gaussians: Gaussians, grid: DistanceGrid, eye_height: float) -> Environment:
@@ -99,7 +95,7 @@ class Environment:
         eye = np.array([self.eye_position[0], eye_height, self.eye_position[2]])  # or nearer to the drop, if it is free
         way = eye + np.linspace(0.0, 0.8, 9)[:, None] * (np.array([drop[0], eye_height, drop[2]]) - eye)
         eye = way[int((grid.sample(way) > EYE_FREE).argmax())]
-        return Environment(0.0, drop, tuple(eye.tolist()), clear, tuple(planes), self.fine_grids, self.target)
+        return Environment(0.0, drop, tuple(eye.tolist()), clear, tuple(planes), self.fine_grids)
 
     def _free_drop(self, planes: list[tuple], grid: DistanceGrid) -> tuple[tuple[float, float, float], float]:
         """The drop on the plane under it if there is free space above, else the freest place of the floor; and its
@@ -145,13 +141,14 @@ def read_environment(file: Hdf5Reader) -> Environment:
     fine = []
     while len(fine) < FINE_GRIDS_MAX and file.has(f"stage/fine{len(fine)}"):
         fine.append(read_grid(file, f"stage/fine{len(fine)}"))
-    target = tuple(map(float, file.vector("stage", "target"))) if file.has_attribute("stage", "target") else None
-    if not np.isfinite([floor, clear, *drop, *eye, *(target or ())]).all() or not np.isfinite(rows).all():
+    if not np.isfinite([floor, clear, *drop, *eye]).all() or not np.isfinite(rows).all():
         raise file.error("a number of the stage is not finite")
+    if (rows[:, 0] == len(PLANE_KINDS)).any():  # a level that nothing shows, as older versions made
+        raise file.error("the stage has no floor to play on; a capture of its photographs may (vrgs.py capture)")
     if clear <= 0 or not np.isin(rows[:, 0], range(len(PLANE_KINDS))).all():
         raise file.error("the stage's free radius or a kind of plane is out of range")
     planes = tuple((PLANE_KINDS[int(row[0])], *map(float, row[1:])) for row in rows)
-    return Environment(floor, drop, eye, clear, planes, tuple(fine), target)
+    return Environment(floor, drop, eye, clear, planes, tuple(fine))
 
 
 def write_environment(file: h5py.File, environment: Environment, *, quantised: bool) -> None:
@@ -160,8 +157,6 @@ def write_environment(file: h5py.File, environment: Environment, *, quantised: b
     group.attrs["floor"], group.attrs["clear"] = float(environment.floor_height), float(environment.clear_radius)
     group.attrs["drop"] = np.array(environment.drop_point, np.float64)
     group.attrs["eye"] = np.array(environment.eye_position, np.float64)
-    if environment.target is not None:
-        group.attrs["target"] = np.array(environment.target, np.float64)
     rows = [(PLANE_KINDS.index(kind), *bounds) for kind, *bounds in environment.planes]
     group["planes"] = np.array(rows, np.float64).reshape(-1, 6)
     for k, grid in enumerate(environment.fine_grids):

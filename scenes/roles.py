@@ -131,27 +131,18 @@ def in_room(scene: Scene, stage: str) -> Scene:
         raise BadInput(f"{stage}: there is no room for this play: it takes {space}")
     floor = own.spot[1] - (at[1] - environment.floor_height)
     facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
-    angles = facing + TURNS if own.on_floor and environment.target is None else facing[None]
-    turned = (placed_room(scene, environment, grid, cameras, at, angle, floor) for angle in angles)
+    angles = facing + TURNS if own.on_floor else facing[None]
+    turned = (placed_room(scene, grid, cameras, at, angle, floor) for angle in angles)
     best = max(turned, key=lambda p: p.rank)  # of equals the first: nearest to where the room's user stood
-    eye, target, levels = best.eye, scene.target, [floor]
-    if environment.target is not None:  # a view that was searched: from elsewhere there may be fog
-        turn = matrices_from_quaternions(np.array(best.rotation))
-        eye, target = (
-            tuple((turn @ np.asarray(p) + best.position).tolist())
-            for p in (environment.eye_position, environment.target)
-        )
-    levels += [own.spot[1] for kind, *_ in environment.planes if kind == "unseen"]
     small = f" ({100 * free:.0f} cm are free around the play, which takes {100 * own.radius:.0f} cm)"
     return replace(
         scene,
         bodies=[Body(stage, rotation=best.rotation, position=best.position), *best.bodies],
         colliders=[
-            *(Plane((0.0, height, 0.0), (0.0, 1.0, 0.0)) for height in levels),
+            Plane((0.0, floor, 0.0), (0.0, 1.0, 0.0)),
             *(c for c in scene.colliders if c not in own.colliders),
         ],
-        eye=eye,
-        target=target,
+        eye=best.eye,
         floor=floor,
         game=own.game or scene.game,
         cast=(*scene.cast, (stage, f"the room{small if free < own.radius else ''}")),
@@ -160,7 +151,6 @@ def in_room(scene: Scene, stage: str) -> Scene:
 
 def placed_room(
     scene: Scene,
-    environment: Environment,
     grid: DistanceGrid | None,
     cameras: Sequence[Camera],
     at: np.ndarray,
@@ -171,9 +161,7 @@ def placed_room(
     own = scene.room
     rotation: Quat = (float(np.cos(0.5 * angle)), 0.0, float(np.sin(0.5 * angle)), 0.0)
     position = tuple(map(float, np.subtract(own.spot, matrices_from_quaternions(np.array(rotation)) @ at)))
-    eye, part = scene.eye, 1.0
-    if environment.target is None:
-        eye, part = free_eye(scene, grid, rotation, position, floor)
+    eye, part = free_eye(scene, grid, rotation, position, floor)
     kept = (replace(b, asleep=False) for b in scene.bodies if b.asset not in own.assets)  # nothing need be under them
     played = [*kept, *own.marks]
     bodies = clear_of_room(played, grid, rotation, position, own.spot)

@@ -80,18 +80,6 @@ def test_a_room_turns_about_the_vertical_and_grows(tmp_path):
     assert_allclose(same.sdf.values, 2 * old.sdf.values.astype(np.float32), atol=2e-3)
 
 
-def test_a_target_is_kept_in_the_file_and_turned_with_the_room(tmp_path):
-    environment = replace(room().environment, target=(0.0, 1.0, 0.0), planes=(("unseen", 0.0, -1.0, -1.0, 1.0, 1.0),))
-    replace(room(), environment=environment).save(tmp_path / "a.h5")
-    assert Environment.load(tmp_path / "a.h5").target == (0.0, 1.0, 0.0)
-    turned = environment.transformed(np.diag([-1.0, -1.0, 1.0]), np.array([0.0, 0.0, 1.0]), 2.0)
-    assert turned.target == pytest.approx((0.0, -2.0, 1.0))
-    broken = replace(environment, target=(0.0, float("nan"), 0.0))
-    replace(room(), environment=broken).save(tmp_path / "b.h5")
-    with pytest.raises(BadInput, match="finite"):
-        Environment.load(tmp_path / "b.h5")
-
-
 def upright_wall() -> Gaussians:
     """Flat Gaussians whose normals are along x."""
     points = np.random.default_rng(0).uniform(-1, 1, (500, 3)) * [0.01, 1, 1]

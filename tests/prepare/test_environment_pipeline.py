@@ -358,7 +358,9 @@ def test_a_damaged_stage_is_refused(tmp_path):
             Environment.load(path)
     some_stage().save(path)
     with h5py.File(path, "r+") as file:
-        file["stage/planes"][0, 0] = 3.0  # a level that nothing shows, as older versions made of a splat without a floor
+        file["stage/planes"][0, 0] = (
+            3.0  # a level that nothing shows, as older versions made of a splat without a floor
+        )
     with pytest.raises(BadInput, match="no floor to play on"):
         Environment.load(path)
     some_stage().save(path)

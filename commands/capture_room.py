@@ -15,7 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.asset import Asset
 from assets.file_access import atomic_write, locked_folder, make_folder
+from assets.room_folder import MANIFEST, RoomObject, write_room
+from assets.splat_files import read_gaussians, write_gaussians
 from commands import options as cli
 from commands import train
 from commands.segment import marked_photographs
@@ -29,7 +32,7 @@ from prepare.segment.mask_files import read_masks
 from prepare.segment.object_ids import masks_beside
 from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import checked, read_capture, read_colmap
-from prepare.train.photographs import image_size
+from prepare.train.photographs import image_size, load_photographs
 from prepare.train.structure_from_motion import (
     find_poses,
     image_folder,
@@ -185,8 +188,6 @@ class RoomMaking:
         """Poses, if there are none, and Gaussians."""
         import taichi as ti
 
-        from assets.splat_files import read_gaussians
-
         o = self.options
         steps = o.steps or STEPS["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
         inputs = {"steps": steps, "reduce": o.reduce, "cap": o.cap, "seed": o.seed}
@@ -237,7 +238,6 @@ class RoomMaking:
 
     def segment(self) -> None:
         """Objects of the Gaussians: learned from given masks, or now from masks that marks spread to, or none."""
-        from assets.splat_files import read_gaussians, write_gaussians
         from prepare.room_capture.room_pipeline import without_supports
 
         g, progress = self.gaussians, self.stages.progress
@@ -258,7 +258,6 @@ class RoomMaking:
         """The Gaussians with objects that they learn from masks of all photographs, which marks in some spread to."""
         from prepare.segment.mask_propagation import propagate_marks
         from prepare.segment.object_ids import learned_objects
-        from prepare.train.photographs import load_photographs
 
         views, g, progress = self.capture.views, self.gaussians, self.stages.progress
         photographs = load_photographs(views, self.options.reduce)
@@ -283,8 +282,6 @@ class RoomMaking:
 
     def cages(self, room, held) -> tuple:
         """The room with the objects that have a body, and these."""
-        from assets.asset import Asset
-        from assets.room_folder import RoomObject
         from prepare.prepared_files import device_vertices
         from prepare.room_capture.room_pipeline import bodies, without_objects
 
@@ -310,7 +307,6 @@ class RoomMaking:
 
     def inpaint(self, room):
         """The background, closed where objects stood."""
-        from assets.splat_files import read_gaussians, write_gaussians
         from prepare.room_capture.room_pipeline import inpainted
 
         o = self.options
@@ -329,8 +325,6 @@ class RoomMaking:
 
     def finish(self, room, rest, things: list) -> None:
         """The collider, the report, and the folder as it is played; its manifest is written last."""
-        from assets.asset import Asset
-        from assets.room_folder import MANIFEST, write_room
         from commands.capture_report import write_report
         from prepare.room_capture.room_pipeline import background, manifest
 

@@ -11,9 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write, check_writable
+from assets.gaussians import concatenate
+from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
 from commands import options as cli
 from core.errors import BadInput
+from core.report import Section, Table, html_page
 from core.runtime import start_taichi
+from prepare.progress import progress_on
+from prepare.train.capture_files import read_capture
+from prepare.train.photographs import load_photograph
 
 FIGURES = 4  # views in the report
 WHICH = cli.OneOf(required=True)
@@ -54,8 +60,6 @@ class InpaintOptions(cli.Options):
 
 def inpaint(options: InpaintOptions) -> None:
     """Remove, inpaint and write. Raises BadInput."""
-    from assets.gaussians import concatenate
-    from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
     from prepare.inpaint.inpaint_pipeline import (
         STAGES,
         STEPS,
@@ -68,7 +72,6 @@ def inpaint(options: InpaintOptions) -> None:
     )
     from prepare.inpaint.picture_inpainting import paint_from_patches
     from prepare.onnx_network import LamaNetwork
-    from prepare.progress import progress_on
 
     kind_to_write(options.out)
     for file in filter(None, (options.out, options.report)):
@@ -112,9 +115,6 @@ def inpaint(options: InpaintOptions) -> None:
 
 def _cameras(options: InpaintOptions) -> tuple[list | None, list]:
     """Cameras of the capture, None without one, and the photographs of the truth, none without it. Raises BadInput."""
-    from prepare.train.capture_files import read_capture
-    from prepare.train.photographs import load_photograph
-
     if options.capture is None:
         return None, []
     capture = read_capture(options.capture).upright()  # as `train` turns it
@@ -179,8 +179,6 @@ def _measured(name, removed, hole, textures, before, after, truths, options) -> 
 def _report(path: Path, objects: list[dict], whole: dict) -> None:
     """Write the numbers, a page and a picture."""
     import cv2
-
-    from core.report import Section, Table, html_page
 
     sections, sheet = [], []
     for numbers in objects:

@@ -18,6 +18,8 @@ from commands.prepared import cached_body, is_asset
 from core.errors import BadInput
 from core.material import Material
 from core.runtime import start_taichi
+from display.picture import save_picture
+from display.timing import write_stats
 
 DROP_HEIGHT_MIN = 0.1  # [m], without --height
 
@@ -152,8 +154,6 @@ def tune(options: TuneOptions) -> None:
     """Print the table and write the strip. Raises BadInput."""
     start_taichi(options.arch)
     from display.headless.stiffness_sweep import drop_each, strip
-    from display.picture import save_picture
-    from display.timing import write_stats
 
     path, name = find_asset(options.asset), Path(options.asset).stem
     if not is_asset(options.asset):

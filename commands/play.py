@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from assets.file_access import check_writable
+from assets.room_folder import read_room
 from commands import options as cli
 from commands.prepared import is_asset, prepared_bodies, prepared_capture, prepared_stage
 from core.errors import BadInput
@@ -182,7 +183,6 @@ def load_scene(options: PlayOptions, replay: Replay | None) -> Scene:
 
     A line says which role each of them plays.
     """
-    from assets.room_folder import read_room
     from scenes import registry
 
     if options.detail == "paper":

@@ -16,7 +16,9 @@ from commands.opening import Opening
 from core.errors import BadInput, Cancelled
 from core.measured_length import scale_between
 from core.runtime import end_taichi, is_out_of_memory, start_taichi
+from display.picture import pixels_of, save_picture
 from display.protocol import Display, Frame
+from display.timing import run_stats, start_progress, write_stats
 from display.user_commands import AddBody, CancelOpening, Command, Measure, OpeningCommand, OpenScene, Rescale, SwapRoom
 from scenes.registry import label
 
@@ -108,8 +110,6 @@ class Session:
 
     def report(self) -> None:
         """Print and write the results of the play."""
-        from display.timing import run_stats, write_stats
-
         options, world = self.options, self.world
         if self.replay:
             print(self.replay.report())
@@ -122,8 +122,6 @@ class Session:
             web = {} if options.web is None else {"web": self.display.stats()}
             write_stats(options.stats, run_stats(world, self._count) | web)
         if options.snapshot and not options.headless:
-            from display.picture import pixels_of, save_picture
-
             save_picture(options.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
         if options.headless:
             print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
@@ -294,7 +292,6 @@ class Session:
         """The world of a scene, ready to play, with a report of the progress."""
         from display.keep.keeper import Remembered
         from display.record.recording import about_play
-        from display.timing import start_progress
         from display.world import World, softened_note
 
         name = label(self.options.scene)

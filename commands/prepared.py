@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assets.file_access import file_size
+from assets.hdf5 import open_hdf5
 from assets.library import SHIPPED_FOLDER, cached_asset
+from assets.orientation import question
 from assets.room_folder import is_room_folder, read_room
 from core.errors import BadInput
 from core.program import cache_folder
 from core.runtime import start_taichi
+from scenes.registry import demo
 
 if TYPE_CHECKING:
     from commands.options import Preparation
@@ -67,7 +70,6 @@ def prepared_capture(options: PlayOptions) -> None:
     if capture is None or is_room_folder(capture):
         return
     from commands.capture_room import CaptureOptions, make_room
-    from scenes.registry import demo
 
     found = demo(options.scene)
     if found is None or all(option.name != "capture" for option in found.options):
@@ -165,8 +167,6 @@ def is_prepared(path: Path, options: PlayOptions, *, room: bool) -> bool:
 
 def wanted_vertices(path: Path) -> int:
     """Number of vertices that an asset of `prepare` was asked for. Raises BadInput."""
-    from assets.hdf5 import open_hdf5
-
     with open_hdf5(path) as file:
         try:
             return int(file.json("", "provenance", dict[str, Any])["options"]["vertices"])
@@ -192,9 +192,6 @@ def cached_environment(
 
 def _ask_up(splats: Path, prepared: Path) -> None:
     """Say again of an earlier preparation that its up axis was not sure, unless the user has turned it since."""
-    from assets.hdf5 import open_hdf5
-    from assets.orientation import question
-
     with open_hdf5(prepared) as file:
         provenance = file.json("", "provenance", dict[str, Any])
     chances = {} if "reoriented" in provenance else provenance.get("up_probabilities", {})

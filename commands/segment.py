@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,20 @@ from assets.file_access import atomic_write, check_writable, locked_folder
 from assets.splat_files import MESHES, READERS, read_gaussians
 from commands import options as cli
 from core.errors import BadInput
+from core.report import Section, html_page
 from core.runtime import start_taichi
+from display.picture import save_picture
+from prepare.segment.marks import Marks, SplatMarks, read_marks, read_splat_marks, write_marks, write_splat_marks
+from prepare.segment.mask_files import (
+    check_masks_folder,
+    contact_sheet,
+    overlap_of,
+    overlays,
+    read_masks,
+    write_masks,
+)
+from prepare.train.capture_files import read_capture
+from prepare.train.photographs import image_size, load_photograph
 
 if TYPE_CHECKING:
     from prepare.segment.marks import SplatMarks
@@ -80,16 +93,7 @@ def segment(options: SegmentOptions) -> None:
 
 def segment_capture(options: SegmentOptions) -> None:
     """Carry the marks to all views and write the masks. Raises BadInput."""
-    from prepare.segment.marks import read_marks
-    from prepare.segment.mask_files import (
-        check_masks_folder,
-        overlap_of,
-        read_masks,
-        write_masks,
-    )
     from prepare.segment.mask_propagation import grab_cut, propagate_marks
-    from prepare.train.capture_files import read_capture
-    from prepare.train.photographs import image_size, load_photograph
 
     check_masks_folder(options.out)
     if options.overlay is not None:
@@ -147,7 +151,6 @@ def marked_photographs(capture, sizes: dict[str, tuple[int, int]], path: Path):
     """
     from commands.marking import PhotographSubject, check_window, edit_of, marks_of_state
     from display.mark.mark_window import marked_in_window
-    from prepare.segment.marks import Marks, read_marks, write_marks
 
     check_window()
     check_writable(path)
@@ -162,9 +165,6 @@ def marked_photographs(capture, sizes: dict[str, tuple[int, int]], path: Path):
 def write_sheet(path: Path, views: list, masks) -> None:
     """Write the masks over their photographs: a picture (.png), or a page (.html). Raises BadInput."""
     import cv2
-
-    from core.report import Section, html_page
-    from prepare.segment.mask_files import contact_sheet, overlays
 
     tiles = overlays(views, masks)
     if path.suffix.lower() == ".html":
@@ -207,8 +207,6 @@ def in_world_of(splats, capture, photographs: list, path: Path):
 
     Raises BadInput if the splats show in neither what was photographed.
     """
-    from dataclasses import replace
-
     from commands.viewing import draw_float
 
     found = []
@@ -238,8 +236,6 @@ def take_objects(options: SegmentOptions) -> None:
 
 def _take_objects(options: SegmentOptions) -> None:
     """As `take_objects`, in the locked folder."""
-    from display.picture import save_picture
-    from prepare.segment.marks import read_splat_marks, write_splat_marks
     from prepare.segment.splat_segmentation import output_files, overlay_of, segment_splat, write_segmented
 
     if options.marks is None:
@@ -268,7 +264,6 @@ def marked_splats(options: SegmentOptions) -> SplatMarks:
     """
     from commands.marking import SplatSubject, check_window, edit_of
     from display.mark.mark_window import marked_in_window
-    from prepare.segment.marks import SplatMarks, read_splat_marks, write_splat_marks
 
     check_window()
     path = options.out / MARKS_FILE

@@ -13,10 +13,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from assets.file_access import atomic_write, check_writable
+from assets.splat_files import kind_to_write, write_gaussians
 from commands import options as cli
 from core.errors import BadInput
+from core.report import Section, Table, html_page
 from core.runtime import is_out_of_memory, start_taichi
 from prepare.train import train_options
+from prepare.train.capture_files import checked, find_colmap_model, read_capture, read_colmap
+from prepare.train.photographs import kept_for_test, load_photographs
+from prepare.train.structure_from_motion import VIDEOS, find_poses, image_folder, photographs_in, sharpest_frames
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS
 
 if TYPE_CHECKING:
@@ -77,9 +82,7 @@ class TrainOptions(cli.Options):
 
 def train(options: TrainOptions, capture: Capture | None = None) -> None:
     """Train, test, and write the Gaussians; `capture` is that of the options if it has been read. Raises BadInput."""
-    from assets.splat_files import kind_to_write, write_gaussians
     from prepare.segment.object_ids import identified
-    from prepare.train.photographs import kept_for_test, load_photographs
 
     kind_to_write(options.out)
     for file in filter(None, (options.out, options.report)):
@@ -165,7 +168,6 @@ def _with_masks(options: TrainOptions, capture):
 
 def _objects(options: TrainOptions, trainer, test: list, gaussians) -> dict:
     """Numbers of each object, printed; with --split their splats are written."""
-    from assets.splat_files import write_gaussians
     from prepare.segment.object_ids import BACKGROUND, object_ious, part_file, split
 
     ious = object_ious(trainer, test, gaussians.object_id)
@@ -190,9 +192,6 @@ def _objects(options: TrainOptions, trainer, test: list, gaussians) -> dict:
 
 def is_posed(path: Path) -> bool:
     """True for a capture with poses; False for photographs alone or a video."""
-    from prepare.train.capture_files import find_colmap_model
-    from prepare.train.structure_from_motion import VIDEOS, image_folder, photographs_in
-
     if path.is_file():
         return path.suffix.lower() not in VIDEOS
     posed = not path.is_dir() or (path / "transforms.json").is_file() or find_colmap_model(path) is not None
@@ -201,9 +200,6 @@ def is_posed(path: Path) -> bool:
 
 def posed_capture(options: TrainOptions):
     """The capture; for photographs or a video without poses these are found first, and kept beside the output."""
-    from prepare.train.capture_files import checked, read_capture, read_colmap
-    from prepare.train.structure_from_motion import find_poses, image_folder, photographs_in, sharpest_frames
-
     path, beside = options.capture, options.out.with_name(f"{options.out.name}.poses")
     if is_posed(path):
         return read_capture(path)
@@ -371,8 +367,6 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
 
     objects  (colours of the masks (K, 3) uint8, ids of the Gaussians): also shows masks beside the Gaussians' objects
     """
-    from core.report import Section, Table, html_page
-
     said = _perceptual(numbers, trainer, test)
     with atomic_write(path) as beside:
         beside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")

@@ -18,6 +18,7 @@ from commands import options as cli
 from core.camera import Camera
 from core.errors import BadInput
 from core.runtime import start_taichi
+from display.picture import pixels_of
 
 DEFAULT_SORT = "z"  # as other renderers draw
 SIZE = (960, 540)  # [px] of a picture, and from which a window's first view is chosen
@@ -134,7 +135,6 @@ def film_turntable(options: RenderOptions) -> None:
     """Film one turn around the splats: an MP4 of --frames pictures. Raises BadInput."""
     from display.headless.headless import Progress
     from display.headless.video import Video
-    from display.picture import pixels_of
     from display.viewed_file import BACKGROUND, ViewedFile, camera_around
     from render.renderer import Renderer
     from render.splats import Splats

@@ -10,8 +10,10 @@ from assets.asset import Asset
 from assets.file_access import atomic_write
 from assets.gaussians import Gaussians
 from assets.room_folder import PICTURE, RoomObject
+from commands.viewing import draw_rgba8
 from core.camera import Camera, look_at, perspective
 from core.report import Section, Table, html_page
+from display.picture import save_picture
 from prepare.report_pictures import camera_for
 from prepare.room_capture.captured_background import view_of
 from prepare.room_capture.room_pipeline import PlacedRoom, with_objects
@@ -44,8 +46,7 @@ def write_report(out: Path, room: PlacedRoom, rest: Asset, things: list, photogr
     whole = with_objects(rest.gaussians, things)
     eye, target, fov = view_of(room.view)
     menu = perspective(*MENU, fov, look_at(eye, target))
-    with atomic_write(out / PICTURE) as beside:
-        beside.write_bytes(cv2.imencode(".jpg", drawn(whole, [menu])[0][..., ::-1])[1].tobytes())
+    save_picture(out / PICTURE, drawn(whole, menu))
 
     def photograph(k: int) -> np.ndarray:
         camera = narrowed(room.view.cameras[k])
@@ -53,16 +54,16 @@ def write_report(out: Path, room: PlacedRoom, rest: Asset, things: list, photogr
         return cv2.resize(seen, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
     k = room.view.photographer()
-    first = drawn(whole, [perspective(round(1.5 * WIDTH), WIDTH, fov, look_at(eye, target))])[0]
+    first = drawn(whole, perspective(round(1.5 * WIDTH), WIDTH, fov, look_at(eye, target)))
     pictures = {"at the start": first, f"the photograph taken there: {photographs[k].name}": photograph(k)}
     sections = [Section("The room", "As the player sees it at the start.", pictures, items=tuple(about["notes"]))]
     for k in np.unique(np.linspace(0, len(photographs) - 1, VIEWS).round().astype(int)):
         camera = narrowed(room.view.cameras[k])
-        pictures = {"photograph": photograph(k), "room": drawn(whole, [camera])[0]}
-        pictures |= {"without its objects": drawn(rest.gaussians, [camera])[0]} if things else {}
+        pictures = {"photograph": photograph(k), "room": drawn(whole, camera)}
+        pictures |= {"without its objects": drawn(rest.gaussians, camera)} if things else {}
         sections.append(Section(f"Photograph {k + 1} of {len(photographs)}", photographs[k].name, pictures))
     for asset, thing in things:
-        picture = drawn(asset.gaussians, [camera_for(asset.cage.vertices, WIDTH, WIDTH)])[0]
+        picture = drawn(asset.gaussians, camera_for(asset.cage.vertices, WIDTH, WIDTH))
         sections.append(Section(thing.name, described(asset, thing, eye), {"by itself": picture}))
     sections += [played(out, rest, eye), spent(about["seconds"])]
     test = about["training"].get("test")
@@ -117,17 +118,7 @@ def narrowed(camera: Camera) -> Camera:
     return Camera(WIDTH, height, s * camera.fx, s * camera.fy, s * camera.cx, s * camera.cy, camera.world_to_camera)
 
 
-def drawn(gaussians: Gaussians, cameras: list[Camera]) -> list[np.ndarray]:
-    """A picture (H, W, 3) uint8 for each camera, all of one size."""
-    from render.renderer import Renderer
-    from render.splats import Splats
-
-    splats = Splats(gaussians)
-    renderer = Renderer(splats, cameras[0].width, cameras[0].height, sort="radial")
-    pictures = []
-    for camera in cameras:
-        renderer.render([camera])
-        pictures.append(renderer.pixels()[0, ..., :3].copy())
-    renderer.destroy()
-    splats.destroy()
-    return pictures
+def drawn(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    """A picture (H, W, 3) uint8."""
+    (picture,) = draw_rgba8(gaussians, [camera])
+    return picture[..., :3]

@@ -22,6 +22,7 @@ from assets.splat_files import read_gaussians, write_gaussians
 from commands import options as cli
 from commands import train
 from commands.segment import marked_photographs
+from commands.train import is_posed, photographs_of, stages_before, with_poses
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
@@ -30,16 +31,9 @@ from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import Marks, marks_json, read_marks
 from prepare.segment.mask_files import read_masks
 from prepare.segment.object_ids import masks_beside
-from prepare.train.capture import Capture, Lens, View
-from prepare.train.capture_files import checked, read_capture, read_colmap
+from prepare.train.capture import Capture, View
+from prepare.train.capture_files import read_capture
 from prepare.train.photographs import image_size, load_photographs
-from prepare.train.structure_from_motion import (
-    find_poses,
-    image_folder,
-    load_pycolmap,
-    photographs_in,
-    sharpest_frames,
-)
 
 STAGES = ("train", "cameras", "objects", "cages", "inpaint", "room")
 TRAINED = "trained.ply"
@@ -359,61 +353,22 @@ class Photographed:
     masks: Path | None
 
 
-def stages_before(capture: Path) -> tuple[str, ...]:
-    """Names of the stages that find the poses of a capture; none if it has them."""
-    if train.is_posed(capture):
-        return ()
-    return ("frames", "poses") if capture.is_file() else ("poses",)
-
-
 def photographed(
     options: CaptureOptions, stages: Stages, say: Say, check: Callable[[list[View]], None]
 ) -> Photographed:
     """The capture that --capture names; `check` takes its photographs before poses are found. Raises BadInput."""
-    if train.is_posed(options.capture):
+    if is_posed(options.capture):
         capture = read_capture(options.capture)
         check(capture.views)
         return Photographed(capture, *objects_of(options, capture, capture.folder / MARKS, say))
-    load_pycolmap()
-    folder, place, video = options.capture, options.capture / MARKS, options.capture.is_file()
-    if video:
-        key, source = file_key(options.capture), source_digest("prepare.train.structure_from_motion")
-        folder = stages.run("frames", {"video": key}, lambda made: frames_of(options.capture, made, say), source)
-        place = options.out / MARKS
-    views = without_poses(image_folder(folder))
+    folder, views = photographs_of(options.capture, stages, say)
     check(views)
+    place = (options.out if options.capture.is_file() else options.capture) / MARKS
     marks, masks = objects_of(options, Capture(folder, views), place, say)
-    capture = with_poses(folder, views, video, stages, say)
+    capture = with_poses(folder, views, stages, say, in_order=options.capture.is_file())
     if marks is not None:
         marks = marks_in(marks, [view.name for view in capture.views], say)
     return Photographed(capture, marks, masks)
-
-
-def frames_of(video: Path, folder: Path, say: Say) -> None:
-    """Write the sharpest frames of a video to images/ in a folder. Raises BadInput."""
-    say(f"{sharpest_frames(video, folder / 'images')} sharp frames of {video}")
-
-
-def without_poses(images: Path) -> list[View]:
-    """Views of the photographs in a folder, with a lens and a pose that are none of theirs. Raises BadInput."""
-    views = []
-    for name in photographs_in(images):
-        view = View(images / name, Lens(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4))
-        width, height = image_size(view.image)
-        views.append(View(view.image, Lens(width, height, width, width, 0.5 * width, 0.5 * height), np.eye(4)))
-    return views
-
-
-def with_poses(folder: Path, views: list[View], video: bool, stages: Stages, say: Say) -> Capture:
-    """The capture of photographs whose poses are found now, or were in an earlier run. Raises BadInput."""
-    images, names = views[0].image.parent, [view.name for view in views]
-
-    def make(into: Path) -> None:
-        find_poses(images, into / "sparse", names=names, in_order=video, progress=say)
-
-    inputs = {"photographs": [file_key(view.image) for view in views]}
-    done = stages.run("poses", inputs, make, source_digest("prepare.train.structure_from_motion"))
-    return checked(read_colmap(done / "sparse", folder))
 
 
 def objects_of(options: CaptureOptions, capture: Capture, place: Path, say: Say) -> tuple[Marks | None, Path | None]:

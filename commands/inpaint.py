@@ -17,6 +17,7 @@ from commands import options as cli
 from core.errors import BadInput
 from core.report import Section, Table, html_page
 from core.runtime import start_taichi
+from display.picture import save_picture
 from prepare.progress import progress_on
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import load_photograph
@@ -178,8 +179,6 @@ def _measured(name, removed, hole, textures, before, after, truths, options) -> 
 
 def _report(path: Path, objects: list[dict], whole: dict) -> None:
     """Write the numbers, a page and a picture."""
-    import cv2
-
     sections, sheet = [], []
     for numbers in objects:
         pictures = numbers.pop("pictures")
@@ -194,9 +193,7 @@ def _report(path: Path, objects: list[dict], whole: dict) -> None:
     if sheet:
         width = max(p.shape[1] for p in sheet)
         sheet = [np.pad(p, ((0, 4), (0, width - p.shape[1]), (0, 0)), constant_values=255) for p in sheet]
-        data = cv2.imencode(".png", np.concatenate(sheet)[..., ::-1])[1].tobytes()
-        with atomic_write(path.with_suffix(".png")) as beside:
-            beside.write_bytes(data)
+        save_picture(path.with_suffix(".png"), np.concatenate(sheet))
     with atomic_write(path.with_suffix(".html")) as beside:
         beside.write_text(html_page("Inpainting", text, sections), encoding="utf-8")
     with atomic_write(path) as beside:

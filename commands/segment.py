@@ -164,16 +164,14 @@ def marked_photographs(capture, sizes: dict[str, tuple[int, int]], path: Path):
 
 def write_sheet(path: Path, views: list, masks) -> None:
     """Write the masks over their photographs: a picture (.png), or a page (.html). Raises BadInput."""
-    import cv2
-
     tiles = overlays(views, masks)
-    if path.suffix.lower() == ".html":
-        section = Section("Photographs", "Each object in its colour.", tiles)
-        data = html_page("Masks", f"{', '.join(masks.names)} in {len(views)} photographs.", [section]).encode()
-    else:
-        data = cv2.imencode(".png", contact_sheet(list(tiles.values()))[..., ::-1].copy())[1].tobytes()
+    if path.suffix.lower() == ".png":
+        save_picture(path, contact_sheet(list(tiles.values())))
+        return
+    section = Section("Photographs", "Each object in its colour.", tiles)
     with atomic_write(path) as beside:
-        beside.write_bytes(data)
+        text = f"{', '.join(masks.names)} in {len(views)} photographs."
+        beside.write_text(html_page("Masks", text, [section]), encoding="utf-8")
 
 
 class TimeLeft:

@@ -6,9 +6,10 @@ import contextlib
 import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -18,15 +19,23 @@ from commands import options as cli
 from core.errors import BadInput
 from core.report import Section, Table, html_page
 from core.runtime import is_out_of_memory, start_taichi
+from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.train import train_options
+from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import checked, find_colmap_model, read_capture, read_colmap
-from prepare.train.photographs import kept_for_test, load_photographs
-from prepare.train.structure_from_motion import VIDEOS, find_poses, image_folder, photographs_in, sharpest_frames
+from prepare.train.photographs import image_size, kept_for_test, load_photographs
+from prepare.train.structure_from_motion import (
+    VIDEOS,
+    find_poses,
+    image_folder,
+    load_pycolmap,
+    photographs_in,
+    sharpest_frames,
+)
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS
 
-if TYPE_CHECKING:
-    from prepare.train.capture import Capture
-
+POSES_SOURCE = "prepare.train.structure_from_motion"
+Say = Callable[[str], None]
 NO_MASKS = Path("none")
 LINE_SECONDS = 0.5  # between two progress lines of a terminal; elsewhere ten times as long
 PREVIEW_SECONDS = 0.2  # [s] of training between two pictures
@@ -198,22 +207,57 @@ def is_posed(path: Path) -> bool:
     return posed or not photographs_in(image_folder(path))
 
 
-def posed_capture(options: TrainOptions):
+def posed_capture(options: TrainOptions) -> Capture:
     """The capture; for photographs or a video without poses these are found first, and kept beside the output."""
-    path, beside = options.capture, options.out.with_name(f"{options.out.name}.poses")
+    path = options.capture
     if is_posed(path):
         return read_capture(path)
-    video = path.is_file()
-    folder, model = beside if video else path, beside / "sparse"
-    beside.mkdir(exist_ok=True)
-    if video and not (beside / "images").is_dir():
-        print(f"{sharpest_frames(path, beside / 'images')} sharp frames of {path}", file=sys.stderr)
-    if model.is_dir():
-        print(f"using the poses of an earlier run ({beside})", file=sys.stderr)
-    else:
-        images = image_folder(folder)
-        find_poses(images, model, names=photographs_in(images), in_order=video, progress=_say)
-    return checked(read_colmap(model, folder))
+    stages = Stages(options.out.with_name(f"{options.out.name}.poses"), stages_before(path))
+    folder, views = photographs_of(path, stages, _say)
+    return with_poses(folder, views, stages, _say, in_order=path.is_file())
+
+
+def stages_before(capture: Path) -> tuple[str, ...]:
+    """Names of the stages that find the poses of a capture; none if it has them."""
+    if is_posed(capture):
+        return ()
+    return ("frames", "poses") if capture.is_file() else ("poses",)
+
+
+def photographs_of(path: Path, stages: Stages, say: Say) -> tuple[Path, list[View]]:
+    """Folder and views of photographs without poses, or of the sharpest frames of a video. Raises BadInput.
+
+    The lens and the pose of the views mean nothing.
+    """
+    load_pycolmap()
+    folder = path
+    if path.is_file():
+
+        def make(into: Path) -> None:
+            say(f"{sharpest_frames(path, into / 'images')} sharp frames of {path}")
+
+        folder = stages.run("frames", {"video": file_key(path)}, make, source_digest(POSES_SOURCE))
+    images, views = image_folder(folder), []
+    for name in photographs_in(images):
+        view = View(images / name, Lens(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4))
+        width, height = image_size(view.image)
+        views.append(View(view.image, Lens(width, height, width, width, 0.5 * width, 0.5 * height), np.eye(4)))
+    return folder, views
+
+
+def with_poses(folder: Path, views: list[View], stages: Stages, say: Say, *, in_order: bool) -> Capture:
+    """The capture of photographs whose poses are found now, or were in an earlier run. Raises BadInput.
+
+    in_order  the photographs are frames of a video
+    """
+
+    def make(into: Path) -> None:
+        names = [view.name for view in views]
+        find_poses(views[0].image.parent, into / "sparse", names=names, in_order=in_order, progress=say)
+
+    inputs = {"photographs": [file_key(view.image) for view in views]}
+    done = stages.run("poses", inputs, make, source_digest(POSES_SOURCE))
+    return checked(read_colmap(done / "sparse", folder))
 
 
 def _trainer(options: TrainOptions, capture, train: list, objects: list[str]):

@@ -6,8 +6,10 @@ import contextlib
 import itertools
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +20,10 @@ from commands import options as cli
 from core.camera import Camera
 from core.errors import BadInput
 from core.runtime import start_taichi
-from display.picture import pixels_of
+from display.picture import pixels_of, save_picture
+
+if TYPE_CHECKING:
+    from render.renderer import Renderer
 
 DEFAULT_SORT = "z"  # as other renderers draw
 SIZE = (960, 540)  # [px] of a picture, and from which a window's first view is chosen
@@ -81,54 +86,42 @@ def draw_pictures(options: RenderOptions) -> None:
         with atomic_write(out) as beside, open(beside, "wb") as file:
             np.savez_compressed(file, **images)
     else:
-        for path, picture in zip(
-            picture_names(out, len(cameras)), draw_rgba8(gaussians, cameras, options.antialias, sort), strict=True
-        ):
-            _write_png(path, picture)
+        for k, picture in enumerate(draw_rgba8(gaussians, cameras, antialias=options.antialias, sort=sort)):
+            save_picture(out if len(cameras) == 1 else out.with_name(f"{out.stem}_{k:03d}{out.suffix}"), picture)
     pixels = f"{cameras[0].width}x{cameras[0].height}"
     count = "1 picture" if len(cameras) == 1 else f"{len(cameras)} pictures"
     print(f"{out}: {count} {pixels} of {len(gaussians)} Gaussians, {time.perf_counter() - start:.1f} s")
 
 
-def picture_names(out: Path, count: int) -> list[Path]:
-    """The file names of `count` pictures."""
-    return [out] if count == 1 else [out.with_name(f"{out.stem}_{i:03d}{out.suffix}") for i in range(count)]
-
-
 def draw_float(gaussians, cameras: list[Camera], *, antialias: bool = False, sort: str = "z") -> dict[str, np.ndarray]:
     """rgb (V, H, W, 3), alpha (V, H, W), depth [m] (V, H, W), float32."""
-    renderer = _renderer(gaussians, cameras[0], antialias, "float", sort)
     images = {"rgb": [], "alpha": [], "depth": []}
-    for camera in cameras:
-        renderer.render([camera])
+    for renderer in _drawn(gaussians, cameras, "float", antialias, sort):
         for name, stack in images.items():
             stack.append(getattr(renderer, name).to_numpy()[0])
     return {name: np.stack(stack) for name, stack in images.items()}
 
 
-def draw_rgba8(gaussians, cameras: list[Camera], antialias: bool = False, sort: str = "z"):
-    """One (H, W, 4) uint8 RGBA picture per camera."""
-    renderer = _renderer(gaussians, cameras[0], antialias, "rgba8", sort)
-    for camera in cameras:
-        renderer.render([camera])
-        yield renderer.pixels()[0]
+def draw_rgba8(
+    gaussians, cameras: list[Camera], *, antialias: bool = False, sort: str = "radial"
+) -> Iterator[np.ndarray]:
+    """One (H, W, 4) uint8 RGBA picture per camera, all of one size."""
+    for renderer in _drawn(gaussians, cameras, "rgba8", antialias, sort):
+        yield renderer.pixels()[0].copy()
 
 
-def _renderer(gaussians, camera: Camera, antialias: bool, outputs: str, sort: str):
+def _drawn(gaussians, cameras: list[Camera], outputs: str, antialias: bool, sort: str) -> Iterator[Renderer]:
+    """The renderer after each camera's picture; its memory is freed at the end."""
     from render.renderer import Renderer
     from render.splats import Splats
 
-    return Renderer(Splats(gaussians), camera.width, camera.height, antialias=antialias, outputs=outputs, sort=sort)
-
-
-def _write_png(path: Path, rgba: np.ndarray) -> None:
-    import cv2
-
-    ok, data = cv2.imencode(".png", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGR))
-    if not ok:
-        raise BadInput(f"{path}: the picture could not be encoded")
-    with atomic_write(path) as beside:
-        beside.write_bytes(data.tobytes())
+    splats, first = Splats(gaussians), cameras[0]
+    renderer = Renderer(splats, first.width, first.height, antialias=antialias, outputs=outputs, sort=sort)
+    for camera in cameras:
+        renderer.render([camera])
+        yield renderer
+    renderer.destroy()
+    splats.destroy()
 
 
 def film_turntable(options: RenderOptions) -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from commands import capture_room
+from commands import capture_room, train
 from commands.capture_room import CaptureOptions, capture_key, check_can_ask, marks_in, photographed, stages_before
 from core.errors import BadInput
 from prepare.room_capture.stages import Stages
@@ -59,8 +59,8 @@ def run(tmp_path, monkeypatch):
         write_marks(path, marks)
         return marks
 
-    monkeypatch.setattr(capture_room, "load_pycolmap", lambda: None)
-    monkeypatch.setattr(capture_room, "find_poses", find_poses)
+    monkeypatch.setattr(train, "load_pycolmap", lambda: None)
+    monkeypatch.setattr(train, "find_poses", find_poses)
     monkeypatch.setattr(capture_room, "marked_photographs", mark)
     monkeypatch.setattr("display.window.gl_window.has_display", lambda: True)
 

@@ -62,30 +62,28 @@ def _measured(folder: Path, steps: int, report: Callable[[str], None], objects: 
     from prepare.inpaint import inpaint_pipeline as pipeline
     from prepare.inpaint.hole_patch import compare, uncovered_psnr
     from prepare.inpaint.picture_inpainting import paint_from_patches
-    from prepare.progress import no_progress
     from prepare.train.photographs import load_photograph
 
     if not (folder / "behind").is_dir():
         raise BadInput(f"{folder}: shows nothing without its objects (make it: python -m studio --capture {folder})")
     capture, photographs, gaussians = _trained(folder, steps, report)
-    options, found = {"antialias": False, "sort": pipeline.order_of(gaussians)}, {}
+    found = {}
     for number, name in enumerate(gaussians.objects[:objects], 1):
         report(f"without the {name}")
         own = gaussians.object_id == number
         cameras = [p.camera for p in photographs]
         before, removed = pipeline.without_support(gaussians.select(~own), gaussians.select(own), cameras)
-        told = options | {"progress": no_progress}
         try:
-            hole = pipeline.take_shadow(pipeline.find_hole(before, removed, cameras, name=name, **told), **told)
+            hole = pipeline.take_shadow(pipeline.find_hole(before, removed, cameras, name=name))
         except BadInput as e:  # a small capture's splat is rough
             report(str(e))
             found[name] = {"refused": str(e)}
             continue
         textures = pipeline.paint_hole(hole, paint_from_patches)
-        after = pipeline.close_hole(hole, textures, steps=pipeline.STEPS, **told)
+        after = pipeline.close_hole(hole, textures)
         behind = [replace(v, image=folder / "behind" / name / v.image.name, mask=None) for v in capture.views]
         truths = [load_photograph(v) for v in behind]
-        views = [v for v in compare(hole.views, textures, before, after, truths, **options) if v.covered.any()]
+        views = [v for v in compare(hole.views, textures, before, after, truths) if v.covered.any()]
         found[name] = {
             "gaussians": int(own.sum()),
             "new": len(after) - len(hole.background),

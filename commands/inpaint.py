@@ -66,7 +66,6 @@ def inpaint(options: InpaintOptions) -> None:
         STEPS,
         close_hole,
         find_hole,
-        order_of,
         paint_hole,
         take_shadow,
         without_support,
@@ -82,20 +81,18 @@ def inpaint(options: InpaintOptions) -> None:
     background, objects = _parts(options, read_gaussians)
     start_taichi(options.arch)
     begin, reports = time.perf_counter(), []
-    drawn = {"antialias": False, "sort": order_of(background)}
     for k, (name, removed) in enumerate(objects.items()):
         others = [g for other, g in objects.items() if other != name]
         standing = list(objects.values())[k + 1 :]  # the shadows of those before went with them
         progress = progress_on(sys.stderr, STAGES)
-        told = drawn | {"progress": progress}
         try:
             more = concatenate(others) if others else None
             background, removed = without_support(background, removed, cameras, others=more, progress=progress)
-            hole = find_hole(background, removed, cameras, name=name, others=more, **told)
+            hole = find_hole(background, removed, cameras, name=name, others=more, progress=progress)
             if not options.keep_shadow:
-                hole = take_shadow(hole, concatenate(standing) if standing else None, **told)
+                hole = take_shadow(hole, concatenate(standing) if standing else None, progress)
             textures = paint_hole(hole, painter, progress)
-            after = close_hole(hole, textures, steps=options.steps or STEPS, **told)
+            after = close_hole(hole, textures, options.steps or STEPS, progress)
         finally:
             progress.close()
         patch = len(after) - len(hole.background)
@@ -103,7 +100,7 @@ def inpaint(options: InpaintOptions) -> None:
         line += f", {patch} added over {hole.area:.3g} m^2 that no camera saw" if patch else "; no hole was left"
         print(line)
         if options.report:
-            reports.append(_measured(name, removed, hole, textures, background, after, truths, drawn))
+            reports.append(_measured(name, removed, hole, textures, background, after, truths))
         background = after
     write_gaussians(options.out, background)
     seconds = time.perf_counter() - begin
@@ -157,11 +154,11 @@ def object_number(scene, name: str, path: Path) -> int:
     raise BadInput(f"{path}: holds no object {name}, only {', '.join(names.values())}")
 
 
-def _measured(name, removed, hole, textures, before, after, truths, options) -> dict:
+def _measured(name, removed, hole, textures, before, after, truths) -> dict:
     """Numbers of an object's hole, and under "pictures" a picture for the report."""
     from prepare.inpaint.hole_patch import compare, uncovered_psnr
 
-    views = compare(hole.views, textures, before, after, truths, **options)
+    views = compare(hole.views, textures, before, after, truths)
     views = [v for v in views if v.covered.any()]
     numbers = {"object": name, "removed": len(removed), "new": len(after) - len(hole.background)}
     numbers |= {"unseen": hole.dropped, "area": hole.area, "views": len(views)}

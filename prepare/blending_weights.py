@@ -27,14 +27,16 @@ class BlendingWeights:
         gaussians: Gaussians,
         cameras: Sequence[Camera] = (),
         *,
-        sort: str = "z",
-        antialias: bool = False,
+        sort: str = "",
         capacity: int = 0,
     ):
-        """`capacity`: for at least so many Gaussians; `cameras`: with room for their pictures, not one size after the
-        other."""
-        self._splats = Splats(gaussians, capacity=capacity)
-        self._options = {"outputs": "float", "sort": sort, "antialias": antialias}
+        """Draw for some cameras, and others.
+
+        cameras   whose pictures there is room for from the start, not for one size after the other
+        sort      order of blending; by default that which the Gaussians were trained for, "radial" if not known
+        capacity  for at least so many Gaussians
+        """
+        self._splats, self._sort = Splats(gaussians, capacity=capacity), sort or gaussians.sort or "radial"
         self._size = (0, 0)  # of the largest picture until now, for which there is room
         self._first = max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1)
         self._renderer: Renderer | None = None
@@ -79,7 +81,7 @@ class BlendingWeights:
         if size[0] > self._size[0] or size[1] > self._size[1]:
             self._release()
             self._size = tuple(max(sides) for sides in zip(size, self._size, self._first, strict=True))
-            self._renderer = renderer = Renderer(self._splats, *self._size, **self._options)
+            self._renderer = renderer = Renderer(self._splats, *self._size, outputs="float", sort=self._sort)
         if (renderer.width, renderer.height) != size:
             renderer.rasterizer.resize(*size)
             renderer.width, renderer.height = size

@@ -83,10 +83,7 @@ def train_patch(
     targets: list[Photograph],
     extent: float,
     progress: Progress,
-    *,
     steps: int,
-    antialias: bool,
-    sort: str,
 ) -> Gaussians:
     """The patch after training to the targets, with the background frozen."""
     from prepare.train.trainer import Trainer, TrainOptions
@@ -96,8 +93,7 @@ def train_patch(
         steps=steps,
         cap=len(start),
         degree=start.sh_degree,
-        antialias=antialias,
-        sort=sort,
+        sort=start.sort or "radial",
         frozen=len(background),
         free_space=False,  # nobody stood where its views are drawn from
     )
@@ -131,13 +127,10 @@ def compare(
     before: Gaussians,
     after: Gaussians,
     truths: Sequence[Photograph | None],
-    *,
-    antialias: bool,
-    sort: str,
 ) -> list[Comparison]:
     """Each view of a hole before and after; `truths`: photographs without the object, one a camera, or empty."""
     cameras = [v.camera for v in views]
-    drawings = [BlendingWeights(g, cameras, antialias=antialias, sort=sort) for g in (before, after)]
+    drawings = [BlendingWeights(g, cameras) for g in (before, after)]
     found = []
     for view in views:
         pictures = [drawing.picture(view.camera)[0].clip(0.0, 1.0) for drawing in drawings]

@@ -77,9 +77,6 @@ def draw_views(
     cameras: list[Camera],
     ball: Surroundings,
     progress: Progress,
-    *,
-    antialias: bool,
-    sort: str,
 ) -> list[HoleView]:
     """The views of all cameras that look at the surroundings of the object."""
     cuts = [(k, cut) for k, c in enumerate(cameras) if (cut := cut_out_camera(c, ball)) is not None]
@@ -88,7 +85,7 @@ def draw_views(
     within = 1.2 * REACH * ball.radius  # all that is processed, without its rim
     near = background.select(np.linalg.norm(background.means - ball.centre, axis=1) < within)
     things = [g for g in (background, removed, near) if len(g)]
-    drawings = [BlendingWeights(g, [cut for _, cut in cuts], antialias=antialias, sort=sort) for g in things]
+    drawings = [BlendingWeights(g, [cut for _, cut in cuts]) for g in things]
     found = []
     for done, (k, cut) in enumerate(cuts):
         color, depth, alpha = drawings[0].picture(cut)
@@ -103,13 +100,11 @@ def draw_views(
     return found
 
 
-def within_object(
-    background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress, *, sort: str
-) -> np.ndarray:
+def within_object(background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress) -> np.ndarray:
     """Mask (N,) of Gaussians around an object that appear almost only within its silhouettes: no camera saw them."""
     from prepare.room_capture.contributions import reduced
 
-    sums = BlendingWeights(background, sort=sort)
+    sums = BlendingWeights(background)
     weights = np.zeros((len(background), 2))
     for k, view in enumerate(views):
         camera = reduced(view.camera)
@@ -173,9 +168,7 @@ def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
     )
 
 
-def cameras_around(
-    background: Gaussians, removed: Gaussians, ball: Surroundings, *, antialias: bool, sort: str
-) -> list[Camera]:
+def cameras_around(background: Gaussians, removed: Gaussians, ball: Surroundings) -> list[Camera]:
     """Cameras on all sides with a free view of an object, for a splat without photographs."""
     k = np.arange(AROUND) + 0.5  # a Fibonacci sphere
     height, turn = 1 - 2 * k / AROUND, np.pi * (1 + 5**0.5) * k
@@ -185,7 +178,7 @@ def cameras_around(
     fov = 2 * np.arcsin(min(0.9, REACH / AROUND_DISTANCE))
     poses = [look_at(eye, ball.centre) for eye in eyes]
     trials = [perspective(AROUND_SIDE, AROUND_SIDE, fov, pose) for pose in poses]
-    drawings = [BlendingWeights(g, trials, antialias=antialias, sort=sort) for g in (background, removed)]
+    drawings = [BlendingWeights(g, trials) for g in (background, removed)]
     free = []
     for trial in trials:
         (_, depth, alpha), (_, object_depth, object_alpha) = (drawing.picture(trial) for drawing in drawings)

@@ -65,10 +65,8 @@ def inpaint(
     name: str = "the object",
     others: Gaussians | None = None,
     standing: Gaussians | None = None,
-    keep_shadow: bool = False,
     painter: Painter = paint_from_patches,
     steps: int = STEPS,
-    antialias: bool = False,
     progress: Progress = no_progress,
 ) -> Gaussians:
     """The background and, where no camera saw behind the removed Gaussians, a patch of new ones after it.
@@ -78,7 +76,6 @@ def inpaint(
 
     others    Gaussians of other objects that are removed as well: what they hid was not seen either
     standing  objects that cast shadows on the background, too, in addition to those in it that have an id
-    keep_shadow  leave all colours as they are
     cameras   of the photographs, in the frame of the Gaussians; None: there are none, and the hole is whatever is empty
               when the object's place is rendered from all sides
     painter   fills a picture's hole
@@ -86,17 +83,9 @@ def inpaint(
 
     Taichi must have been started. Raises BadInput, naming the object, if it has no support or is not seen.
     """
-    options = {"antialias": antialias, "sort": order_of(background), "progress": progress}
-    hole = find_hole(background, removed, cameras, name=name, others=others, **options)
-    if not keep_shadow:
-        hole = take_shadow(hole, standing, **options)
-    textures = paint_hole(hole, painter, progress)
-    return close_hole(hole, textures, steps=steps, **options)
-
-
-def order_of(gaussians: Gaussians) -> str:
-    """The order of blending that a splat was trained for; "radial" where it is not known."""
-    return gaussians.sort or "radial"
+    hole = find_hole(background, removed, cameras, name=name, others=others, progress=progress)
+    hole = take_shadow(hole, standing, progress)
+    return close_hole(hole, paint_hole(hole, painter, progress), steps, progress)
 
 
 def in_support(
@@ -114,13 +103,10 @@ def in_support(
     none = np.zeros(len(removed), bool)
     if len(removed) < OBJECT_MIN or not len(background):
         return none
-    ball = Surroundings.of(removed)
-    options = {"antialias": False, "sort": order_of(background)}
-    photographed = cameras is not None
-    if not photographed:
-        cameras = cameras_around(background, removed, ball, **options)
+    ball, photographed = Surroundings.of(removed), cameras is not None
+    cameras = cameras if photographed else cameras_around(background, removed, ball)
     hiding = removed if others is None else concatenate([removed, others])
-    views = draw_views(background, hiding, cameras, ball, progress, **options)
+    views = draw_views(background, hiding, cameras, ball, progress)
     textures = textures_around(views, removed, ball, photographed=photographed)
     if not textures:
         return none
@@ -144,8 +130,6 @@ def find_hole(
     *,
     name: str,
     others: Gaussians | None = None,
-    antialias: bool,
-    sort: str,
     progress: Progress = no_progress,
 ) -> Hole:
     """The hole that the removed Gaussians leave behind. Raises BadInput, see `inpaint`."""
@@ -153,21 +137,18 @@ def find_hole(
         raise BadInput(f"{name}: only {len(removed)} Gaussians; an object has at least {OBJECT_MIN}")
     if not len(background):
         raise BadInput(f"{name}: nothing is left without it")
-    ball = Surroundings.of(removed)
-    options = {"antialias": antialias, "sort": sort}
-    photographed = cameras is not None
-    if not photographed:
-        cameras = cameras_around(background, removed, ball, **options)
+    ball, photographed = Surroundings.of(removed), cameras is not None
+    cameras = cameras if photographed else cameras_around(background, removed, ball)
     hiding = [removed] if others is None else [removed, others]
-    views = draw_views(background, concatenate(hiding), cameras, ball, progress, **options)
+    views = draw_views(background, concatenate(hiding), cameras, ball, progress)
     if sum(int(v.in_front().sum()) for v in views) < SEEN_MIN:
         raise BadInput(f"{name}: no camera sees it")
     progress("hole", 0.0)
     kept, dropped = background, 0
-    if photographed and (unseen := within_object(background, views, ball, progress, sort=sort)).any():
+    if photographed and (unseen := within_object(background, views, ball, progress)).any():
         kept, dropped = background.select(~unseen), int(unseen.sum())
         hiding.append(background.select(unseen))
-        views = draw_views(kept, concatenate(hiding), cameras, ball, no_progress, **options)
+        views = draw_views(kept, concatenate(hiding), cameras, ball, no_progress)
     textures = textures_around(views, removed, ball, photographed=photographed)
     if not textures:
         raise NoSurface(f"{name}: no surface was found that it stands on or leans at; nothing tells what is behind it")
@@ -197,24 +178,16 @@ def with_hole_first(textures: list[SurfaceTexture]) -> list[SurfaceTexture]:
     return sorted(textures, key=lambda t: (not t.hole.any(), -min(t.rim, RIM_KNOWN)))
 
 
-def take_shadow(
-    hole: Hole,
-    standing: Gaussians | None = None,
-    *,
-    antialias: bool,
-    sort: str,
-    progress: Progress = no_progress,
-) -> Hole:
+def take_shadow(hole: Hole, standing: Gaussians | None = None, progress: Progress = no_progress) -> Hole:
     """The hole with its surroundings as they are without the shadow of the removed object. See `inpaint`."""
-    options = {"antialias": antialias, "sort": sort}
     progress("shadow", 0.0)
     others = [hole.background.select(hole.background.object_id > 0), *([] if standing is None else [standing])]
-    shadow = find_shadow(hole.removed, concatenate(others), hole.support, hole.ball, **options)
+    shadow = find_shadow(hole.removed, concatenate(others), hole.support, hole.ball)
     if shadow is None:
         return hole
     background = without_shadow(hole.background, shadow, hole.ball, hole.views)
     support, *textures = textures_without_shadow([hole.support, *hole.textures], shadow)
-    views = views_of(background, hole.views, progress, **options)
+    views = views_of(background, hole.views, progress)
     return replace(hole, background=background, views=views, support=support, textures=textures)
 
 
@@ -232,7 +205,7 @@ def paint_hole(hole: Hole, painter: Painter, progress: Progress = no_progress) -
 
 
 def close_hole(
-    hole: Hole, textures: list[SurfaceTexture], *, steps: int, antialias: bool, sort: str, progress: Progress
+    hole: Hole, textures: list[SurfaceTexture], steps: int = STEPS, progress: Progress = no_progress
 ) -> Gaussians:
     """The background with the patch after it."""
     if not textures:
@@ -247,8 +220,7 @@ def close_hole(
             targets.append((int(pixels.sum()), Photograph(picture, counts, view.camera)))
     targets = [targets[i][1] for i in _spread(len(targets), VIEWS_MAX)]
     if targets:
-        options = {"steps": steps, "antialias": antialias, "sort": sort}
-        patch = train_patch(hole.background, patch, targets, hole.ball.radius, progress, **options)
+        patch = train_patch(hole.background, patch, targets, hole.ball.radius, progress, steps)
     return concatenate([hole.background, patch])
 
 

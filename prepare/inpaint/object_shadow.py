@@ -41,13 +41,13 @@ REACH = 5.0  # radii from the object's middle: where its shadow is taken away
 class ShadowMaps:
     """The share of light from directions (J, 3) that a thing lets pass."""
 
-    def __init__(self, thing: Gaussians, directions: np.ndarray, *, antialias: bool, sort: str):
+    def __init__(self, thing: Gaussians, directions: np.ndarray):
         ball = Surroundings.of(thing)
         radius = float(np.linalg.norm(thing.means - ball.centre, axis=1).max())
         eyes = ball.centre + FAR * radius * directions
         angle = 2.2 / FAR  # of the whole thing, with the width of its outermost Gaussians
         self._cameras = [perspective(MAP_SIDE, MAP_SIDE, angle, look_at(eye, ball.centre)) for eye in eyes]
-        drawing = BlendingWeights(thing, self._cameras, antialias=antialias, sort=sort)
+        drawing = BlendingWeights(thing, self._cameras)
         self._maps = [drawing.picture(camera)[1:] for camera in self._cameras]
         drawing.destroy()
 
@@ -82,13 +82,7 @@ class ObjectShadow:
 
 
 def find_shadow(
-    removed: Gaussians,
-    others: Gaussians | None,
-    texture: SurfaceTexture,
-    ball: Surroundings,
-    *,
-    antialias: bool,
-    sort: str,
+    removed: Gaussians, others: Gaussians | None, texture: SurfaceTexture, ball: Surroundings
 ) -> ObjectShadow | None:
     """The shadow of an object among others on a surface; None where more of the surface is hidden than seen."""
     y, x = np.nonzero(texture.known)
@@ -98,9 +92,8 @@ def find_shadow(
     y, x = y[chosen], x[chosen]
     points = texture.surface.points(texture.places()[y, x])
     directions = half_sphere(DIRECTIONS) @ texture.surface.axes
-    options, bias = {"antialias": antialias, "sort": sort}, BIAS * ball.radius
-    own = ShadowMaps(removed, directions, **options)
-    maps = ShadowMaps(others, directions, **options) if others is not None and len(others) else None
+    own, bias = ShadowMaps(removed, directions), BIAS * ball.radius
+    maps = ShadowMaps(others, directions) if others is not None and len(others) else None
     passing = own.passing(points, bias)
     if maps is not None:
         passing = passing * maps.passing(points, bias)
@@ -184,9 +177,9 @@ def textures_without_shadow(textures: list[SurfaceTexture], shadow: ObjectShadow
     return found
 
 
-def views_of(background: Gaussians, views: list[HoleView], progress: Progress, *, antialias: bool, sort: str):
+def views_of(background: Gaussians, views: list[HoleView], progress: Progress) -> list[HoleView]:
     """The views in the colours of another background of the same shape."""
-    drawing, found = BlendingWeights(background, [v.camera for v in views], antialias=antialias, sort=sort), []
+    drawing, found = BlendingWeights(background, [v.camera for v in views]), []
     for k, view in enumerate(views):
         found.append(replace(view, color=drawing.picture(view.camera)[0]))
         progress("shadow", (k + 1) / len(views))

@@ -114,7 +114,7 @@ def painted(gaussians: Gaussians, objects: int) -> Gaussians:
 def overlay_of(segmented: SegmentedSplat, marks: SplatMarks) -> dict[str, np.ndarray]:
     """A picture of each marked view with the objects in colours, (H, W, 3) uint8 RGB. Taichi must be running."""
     g = segmented.gaussians
-    weights = BlendingWeights(painted(g, len(g.objects)))
+    weights = BlendingWeights(painted(g, len(g.objects)), sort="z")
     pictures = {name: weights.picture(marks.cameras[name])[0] for name in marks.marks.views}
     weights.destroy()
     return {name: (p.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8) for name, p in pictures.items()}
@@ -129,7 +129,7 @@ class LiveSelection:
     def __init__(self, gaussians: Gaussians):
         self.ids = np.zeros(len(gaussians), np.uint16)
         self._gaussians, self._selection = gaussians, SplatSelection(gaussians)
-        self._drawn = BlendingWeights(painted(replace(gaussians, object_id=self.ids), 1))
+        self._drawn = BlendingWeights(painted(replace(gaussians, object_id=self.ids), 1), sort="z")
         self._seeds: dict[tuple, ViewSeeds] = {}
 
     def select(self, marks: SplatMarks, numbers: Mapping[str, int]) -> dict[str, int]:

@@ -93,7 +93,7 @@ class ViewsAround:
         else:
             self.destroy()
             self._room = max(ROOM, 1 << (len(plain) - 1).bit_length())
-            self._weights = BlendingWeights(plain, capacity=self._room)
+            self._weights = BlendingWeights(plain, sort="z", capacity=self._room)
 
     def destroy(self) -> None:
         """Free the device memory."""

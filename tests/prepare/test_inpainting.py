@@ -33,7 +33,6 @@ from prepare.train.photographs import Photograph
 from vrgs import main
 
 RADIUS, SPACING = 0.12, 0.02  # [m] of the ball, and between the table's Gaussians
-OPTIONS = {"antialias": False, "sort": "radial", "progress": no_progress}
 
 
 def flat(points, color, scale) -> Gaussians:
@@ -73,7 +72,7 @@ def shadowed_table() -> Gaussians:
 @pytest.fixture(scope="module")
 def shadowed(ti_cpu):
     """The hole under the ball, with its shadow around."""
-    return find_hole(shadowed_table(), ball(), cameras(), name="ball", **OPTIONS)
+    return find_hole(shadowed_table(), ball(), cameras(), name="ball")
 
 
 @pytest.fixture(scope="module")
@@ -81,20 +80,20 @@ def closed(shadowed):
     """The hole without the shadow, its painted textures, and the table with the patch."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("prepare.inpaint.object_shadow.DIRECTIONS", 24)
-        hole = take_shadow(shadowed, **OPTIONS)
+        hole = take_shadow(shadowed)
     textures = paint_hole(hole, paint_from_patches)
-    return hole, textures, close_hole(hole, textures, steps=20, **OPTIONS)
+    return hole, textures, close_hole(hole, textures, steps=20)
 
 
 @pytest.fixture(scope="module")
 def views(closed):
     """Pictures before and after, and of the whole table."""
     hole, textures, after = closed
-    return compare(hole.views, textures, hole.background, after, truths(hole), antialias=False, sort="radial")
+    return compare(hole.views, textures, hole.background, after, truths(hole))
 
 
 def truths(hole) -> list[Photograph]:
-    drawing = BlendingWeights(table(), cameras(), sort="radial")
+    drawing = BlendingWeights(table(), cameras())
     pictures = [(drawing.picture(c)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
     drawing.destroy()
     return [Photograph(p, np.ones(p.shape[:2], bool), c) for p, c in zip(pictures, cameras(), strict=True)]
@@ -176,7 +175,7 @@ def test_without_photographs_what_is_drawn_there_stays(ti_cpu):
 @pytest.mark.long
 def test_an_object_in_the_air_is_refused(ti_cpu):
     with pytest.raises(BadInput, match="ball: no surface was found that it stands on"):
-        find_hole(table(), ball(height=1.5), cameras_at(1.5), name="ball", **OPTIONS)
+        find_hole(table(), ball(height=1.5), cameras_at(1.5), name="ball")
 
 
 def test_an_object_in_the_air_has_no_surface():
@@ -187,9 +186,9 @@ def test_an_object_in_the_air_has_no_surface():
 
 def test_an_unseen_object_is_refused(ti_cpu):
     with pytest.raises(BadInput, match="ball: no camera sees it"):
-        find_hole(table(), ball(height=-9.0), cameras(), name="ball", **OPTIONS)
+        find_hole(table(), ball(height=-9.0), cameras(), name="ball")
     with pytest.raises(BadInput, match="only 5 Gaussians"):
-        find_hole(table(), ball().select(slice(5)), cameras(), name="ball", **OPTIONS)
+        find_hole(table(), ball().select(slice(5)), cameras(), name="ball")
 
 
 def noisy_view(
@@ -308,7 +307,7 @@ def test_a_far_background_seen_through_the_table_does_not_spoil_its_depth(ti_cpu
     thin = replace(thin, logit_opacities=np.full_like(thin.logit_opacities, 1.0))
     far = replace(far, means=150.0 * far.means, log_scales=np.full_like(far.log_scales, np.log(2.0)))
     sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    views = draw_views(concatenate([thin, far]), ball(), cameras(), sphere, no_progress, antialias=False, sort="radial")
+    views = draw_views(concatenate([thin, far]), ball(), cameras(), sphere, no_progress)
     for view in views:
         y, x = np.nonzero(view.object_alpha < 0.01)
         at, eye = view.camera.points_at(view.depth, x, y), view.camera.position

@@ -110,7 +110,7 @@ def plate(monkeypatch):
     texture = SurfaceTexture(floor, np.full(2, -1.7), 0.085, np.full((40, 40, 3), 0.5), seen, ~seen)
     turn = np.arange(100) * 0.02 * np.pi
     thing = SimpleNamespace(means=np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1))
-    return find_shadow(thing, None, texture, Surroundings(np.zeros(3), 1.0), antialias=False, sort="radial")
+    return find_shadow(thing, None, texture, Surroundings(np.zeros(3), 1.0))
 
 
 def test_a_noisy_surface_does_not_shade_itself_but_what_is_close_behind(plate):

@@ -23,7 +23,7 @@ from core.vocabulary import Light
 from display import user_commands
 from display.protocol import WorldView
 from display.timing import Timings
-from display.user_commands import EDITS, MIN_TIME_SCALE, Command, Export, OpenScene
+from display.user_commands import EDITS, MIN_TIME_SCALE, Command, Export, Film, OpenScene, PlayDemo, SetLight
 from scenes import registry
 from scenes.registry import Demo, SceneOption
 
@@ -48,13 +48,18 @@ SCENE_PICTURES = Path(registry.__file__).parent / "pictures"
 
 @dataclass(frozen=True)
 class Button:
-    """A button that sends `commands`; `label` is what stands on it, if not its name, and `on` whether it is lit."""
+    """A button that sends `commands`; `on` is whether it is lit, and `label` stands on it then instead of its name."""
 
     name: str
     commands: Sequence[Command]
     tip: str = ""
-    label: str = ""
     on: bool = False
+    label: str = ""
+
+    @property
+    def text(self) -> str:
+        """What stands on it now."""
+        return self.label if self.on and self.label else self.name
 
 
 @dataclass(frozen=True)
@@ -199,9 +204,8 @@ class Panel:
         if k is None or k >= len(bodies):
             return Section("Body", [Text("Take hold of a body to change it.")], folded=False)
         listed = {name: pascals(material.young) for name, material in MATERIALS.items()}
-        material = Choice(
-            "material", listed, world.material(k)[1], lambda name: [user_commands.SetMaterial(k, name)], listed=True
-        )
+        current = world.material(k)[1]
+        material = Choice("material", listed, current, lambda name: [user_commands.SetMaterial(k, name)], listed=True)
         edits = ButtonGrid([*EDIT_BUTTONS, GIZMO_BUTTON] if self.gizmo else EDIT_BUTTONS)
         return Section("Body", [material, *material_sliders(world, k), edits], called(bodies[k].name), folded=False)
 
@@ -212,10 +216,10 @@ class Panel:
             Button("Picture", [user_commands.TakePicture()], "As a PNG, without panel and marks (F12)."),
             Button(
                 "Film",
-                [user_commands.Film(not filming)],
+                [Film(not filming)],
                 "As an MP4, without panel and marks (F9).",
-                "End film" if filming else "",
                 filming,
+                "End film",
             ),
             Button("Camera", [user_commands.WriteCamera()], "As a file for vrgs.py render --camera (Shift+F12)."),
         ]
@@ -228,17 +232,9 @@ class Panel:
             Button("Load", [user_commands.LoadState()], "Continue from the last one (Ctrl+L)."),
             Button("Export", [export], "For other programs, as chosen below (Ctrl+E)."),
         ]
-        rows: list[Row] = [
-            ButtonGrid(buttons),
-            Choice(
-                "export",
-                dict.fromkeys(EXPORTS, ""),
-                self._export,
-                partial(self._set, "_export"),
-                listed=True,
-                tip=EXPORT_TIP,
-            ),
-        ]
+        choose = partial(self._set, "_export")
+        exports = Choice("export", dict.fromkeys(EXPORTS, ""), self._export, choose, listed=True, tip=EXPORT_TIP)
+        rows: list[Row] = [ButtonGrid(buttons), exports]
         if world.selected is not None:
             rows.append(Toggle("selected body only", self._selected_only, partial(self._set, "_selected_only")))
         if kind not in CAGES:
@@ -262,26 +258,17 @@ class Panel:
 def play_section(world: WorldView) -> Section:
     """Pause, step, reset, undo, the demonstration, and what a grip does."""
     buttons = [
-        Button(
-            "Pause",
-            [user_commands.Pause(not world.paused)],
-            "(Space)",
-            "Resume" if world.paused else "",
-            world.paused,
-        ),
+        Button("Pause", [user_commands.Pause(not world.paused)], "(Space)", world.paused, "Resume"),
         Button("Step", [user_commands.Pause(True), user_commands.SingleStep()], "A single frame (N)."),
         Button("Reset", [user_commands.Reset()], "The scene anew (R)."),
         Button("Undo", [user_commands.Undo()], "Take the last change back (Ctrl+Z)."),
         Button("Redo", [user_commands.Redo()], "(Ctrl+Y)"),
     ]
     if world.scene.game is not None:
-        watch = [user_commands.PlayDemo(not world.demo)]
-        buttons.append(Button("Watch", watch, "A demonstration (P).", "Stop" if world.demo else "", world.demo))
+        buttons.append(Button("Watch", [PlayDemo(not world.demo)], "A demonstration (P).", world.demo, "Stop"))
+    current = world.interaction.capitalize()
     interaction = Choice(
-        "interaction",
-        INTERACTIONS,
-        world.interaction.capitalize(),
-        lambda name: [user_commands.SetInteraction(name.lower())],
+        "interaction", INTERACTIONS, current, lambda name: [user_commands.SetInteraction(name.lower())]
     )
     return Section("Play", [ButtonGrid(buttons), interaction], plain=True)
 
@@ -359,13 +346,12 @@ def world_sliders(world: WorldView) -> list[Slider]:
 def light_section(world: WorldView) -> Section:
     """The light's kind and place, and its shadow."""
     light = world.light
-    kind = Choice(
-        "kind",
-        {"Point": "", "Directional": ""},
-        light.kind.capitalize(),
-        lambda name: [user_commands.SetLight(replace(light, kind=name.lower()))],
-    )
-    rows: list[Row] = [kind]
+    kinds = {"Point": "", "Directional": ""}
+
+    def choose(name: str) -> list[Command]:
+        return [SetLight(replace(light, kind=name.lower()))]
+
+    rows: list[Row] = [Choice("kind", kinds, light.kind.capitalize(), choose)]
     for axis, (name, middle) in enumerate(zip("xyz", world.scene.target, strict=True)):
         at, low, high = light.position[axis], middle - LIGHT_RANGE, middle + LIGHT_RANGE
         rows.append(Slider(name, at, low, high, f"{at:.2f} m", partial(moved_light, light, axis)))
@@ -375,15 +361,15 @@ def light_section(world: WorldView) -> Section:
     return Section("Light", rows)
 
 
-def moved_light(light: Light, axis: int, value: float, continued: bool) -> user_commands.SetLight:
+def moved_light(light: Light, axis: int, value: float, continued: bool) -> SetLight:
     """The command that moves a light along an axis to `value` [m]."""
     position = (*light.position[:axis], value, *light.position[axis + 1 :])
-    return user_commands.SetLight(replace(light, position=position))
+    return SetLight(replace(light, position=position))
 
 
-def shaded_light(light: Light, field: str, hundredths: float, continued: bool) -> user_commands.SetLight:
+def shaded_light(light: Light, field: str, hundredths: float, continued: bool) -> SetLight:
     """The command that changes a light's field to a number of hundredths."""
-    return user_commands.SetLight(replace(light, **{field: hundredths / 100.0}))
+    return SetLight(replace(light, **{field: hundredths / 100.0}))
 
 
 def file_section(world: WorldView) -> Section:
@@ -392,9 +378,7 @@ def file_section(world: WorldView) -> Section:
     buttons = [
         Button("Next file", [user_commands.NextFile()], "Tab"),
         Button("Turn up", [user_commands.TurnUp()], "The next of the file's axes points up (Y)."),
-        Button(
-            "Axes", [user_commands.ShowAxes(not world.axes)], "x red, y green, z blue; each 1, 0.1 or 10 m long (X)."
-        ),
+        Button("Axes", [user_commands.ShowAxes(not world.axes)], "Red x, green y, blue z; 1, 0.1 or 10 m long (X)."),
         Button("Background", [user_commands.NextBackground()], "Grey, black, white, blue (B)."),
     ]
     shown = ButtonGrid(buttons if count > 1 else buttons[1:], columns=2)

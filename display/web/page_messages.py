@@ -171,7 +171,7 @@ def described_row(row: Row) -> dict:
     """A row of the panel, with its kind in place of its commands."""
     kind = {"kind": type(row).__name__}
     if isinstance(row, ButtonGrid):
-        buttons = [{"name": b.name, "label": b.label or b.name, "tip": b.tip, "on": b.on} for b in row.buttons]
+        buttons = [{"name": b.name, "label": b.text, "tip": b.tip, "on": b.on} for b in row.buttons]
         return kind | {"columns": row.columns, "buttons": buttons}
     fields = {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
     if isinstance(row, Slider) and row.usual is not None:

@@ -134,7 +134,7 @@ class PanelDrawer:
             case Slider():
                 return self._sliders.setdefault(title, Sliders()).draw([row])
             case ButtonGrid():
-                by_text = {button.label or button.name: button for button in row.buttons}
+                by_text = {button.text: button for button in row.buttons}
                 pressed = button_grid({text: button.tip for text, button in by_text.items()}, row.columns)
                 if pressed is not None:
                     self.pressed = by_text[pressed].name

@@ -171,7 +171,7 @@ class Contacts(Constraint):
 
     @ti.func
     def _find_static(self):
-        """Shapes near each sample. Outermost level of a kernel."""
+        """Find the shapes near each sample. Outermost level of a kernel."""
         self.constraints.candidate_count[None], self.constraints.listed_count[None] = 0, 0
         for p in range(self.samples.capacity):
             if p < self.samples.count[None]:
@@ -193,7 +193,7 @@ class Contacts(Constraint):
 
     @ti.func
     def project_vertex(self, i, dx):
-        """The hands' springs, then vertex i itself out of all shapes near it; the constraints come after."""
+        """Apply the hands' springs, then move vertex i out of all shapes near it; the constraints come later."""
         return self.static.project_vertex(i, self.hands.apply_springs(i, dx))
 
     @ti.func

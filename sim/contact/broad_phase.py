@@ -53,7 +53,7 @@ class BodyBounds:
 
     @ti.func
     def update(self):
-        """Bounds of positions and velocities as they are now. Outermost level of a kernel."""
+        """Compute the bounds of the present positions and velocities. Outermost level of a kernel."""
         s = self.state
         c = self.blocks
         for w in range(c.size * c.lanes):
@@ -189,7 +189,7 @@ class SweptBounds:
 
     @ti.func
     def update(self):
-        """Widen the bounds, which must be up to date, by the hands' poses of this frame too.
+        """Widen the bounds, which must be up to date, also for the hands' poses of this frame.
 
         Outermost level of a kernel.
         """
@@ -231,7 +231,7 @@ class SweptBounds:
 
     @ti.func
     def _after_impact(self, b):
-        """Speed [m/s] of body b, or that to which a faster body that may hit it brings it."""
+        """Speed [m/s] of body b, or the one it has after a faster body has hit it, if one may."""
         s = self.state
         t = s.detect_dt[None]
         box = self.bounds
@@ -281,7 +281,7 @@ class SelfCollision:
         self._upload = Upload([self.disabled, self.part])
 
     def load(self, model: Model) -> None:
-        """Take which of these bodies pass through themselves."""
+        """Take these bodies; some pass through themselves."""
         parts = [part_of_vertices(p) for p in model.bodies]
         alone = [not part.any() for part in parts]  # of one part
         passes = [not (p.body.rigid or p.body.self_contact) for p in model.bodies]
@@ -289,7 +289,7 @@ class SelfCollision:
 
     @ti.func
     def min_rest_distance(self, b):
-        """Least distance at rest [m] of two points of body b that may collide."""
+        """Least distance at rest [m] between two points of body b that may collide."""
         return MIN_REST_DISTANCE * self.state.max_step[b]
 
     @ti.func
@@ -406,7 +406,7 @@ class SelfCollision:
 
 
 def part_of_vertices(p: BodyModel) -> np.ndarray:
-    """Number of the connected part of each vertex (V,); all -1 unless the body's parts alone meet each other."""
+    """Number of each vertex's connected part (V,); all -1 unless only the parts of the body may collide."""
     count = len(p.shape.vertices)
     if p.body.rigid or p.body.self_contact != "parts":
         return np.full(count, -1, np.int32)
@@ -416,5 +416,5 @@ def part_of_vertices(p: BodyModel) -> np.ndarray:
 
 
 def can_fold(shape: RestShape) -> bool:
-    """True if a body has two ends, each as long as the distance at rest below which points do not collide."""
+    """True if a body is long enough for two of its points to collide: see MIN_REST_DISTANCE."""
     return float(np.ptp(shape.vertices, axis=0).max()) > 2 * MIN_REST_DISTANCE * 0.5 * shape.edge

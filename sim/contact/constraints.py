@@ -103,7 +103,7 @@ class ContactConstraints:
 
     @ti.func
     def postpone(self, r, phi, closing_speed):
-        """Evaluate row r again when its distance phi [m] may be used up."""
+        """Do not evaluate row r before its distance phi [m] can be used up."""
         s = self.state
         substeps = ti.cast(ti.max(phi, 0.0) / (closing_speed * s.dt[None]), ti.i32)
         self.next_check[r] = s.substep_index[None] + 1 + substeps
@@ -114,7 +114,7 @@ class ContactConstraints:
 
     @ti.func
     def set_vertex_count(self, r, count):
-        """Row r has the vertices set so far. The places after them are filled with nothing, harmlessly."""
+        """Give row r the vertices set so far; unused places get a coefficient of 0."""
         self.vertex_count[r] = count
         if ti.static(self.unrolled):
             for e in ti.static(range(MAX_VERTICES)):
@@ -128,7 +128,7 @@ class ContactConstraints:
 
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
-        """First pass: a constraint that carries a load or is about to counts for mass splitting and warm-starts."""
+        """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to."""
         loaded = usable and self.impulse[r].norm_sqr() > 0.0
         if usable and not loaded:
             y_n = self.normal[r].dot(self.relative_motion(r, 0, integrator))
@@ -218,7 +218,7 @@ class ContactConstraints:
 
     @ti.func
     def apply(self, i):
-        """All corrections [m] of vertex i, whose sums are thereby cleared."""
+        """Return the sum of all corrections [m] of vertex i, and clear it."""
         d = ti.Vector([0.0, 0.0, 0.0])
         if self.split_count[i] != 0:
             total = ti.Vector([0, 0, 0], ti.i64)
@@ -264,7 +264,7 @@ class ContactConstraints:
 
     @ti.func
     def add_impulse(self, r, impulse, j):
-        """Add what an impulse [kg m] of row r moves to the corrections of pass j."""
+        """Add the displacements that an impulse [kg m] of row r causes to the corrections of pass j."""
         if ti.static(self.unrolled):
             for e in ti.static(range(MAX_VERTICES)):
                 self._correct_vertex(r, e, impulse, j)
@@ -331,7 +331,7 @@ class ContactForces:
         self.correction[i] = ti.Vector([0.0, 0.0, 0.0])
 
     def clear_all(self) -> None:
-        """Forget all forces of static shapes: vertices may be others now."""
+        """Forget all forces of static shapes: the vertices may belong to other bodies now."""
         self.correction.fill(0.0)
 
     def per_body(self) -> np.ndarray:

@@ -45,7 +45,7 @@ class SurfacePoints:
 
 
 def spacing_for(shapes: list[Shape]) -> float:
-    """Spacing [m] at which nothing static slips between samples: half of the thinnest capsule, two voxels of a grid."""
+    """Spacing [m] at which no static shape slips between samples: half the thinnest capsule, two voxels of a grid."""
     thin = [0.5 * s.radius for s in shapes if isinstance(s, Capsule)]
     thin += [2.0 * s.grid.spacing * s.scale for s in shapes if isinstance(s, StaticGrid)]
     return float(np.clip(min(thin, default=MAX_SPACING), MIN_SPACING, MAX_SPACING))
@@ -261,7 +261,7 @@ class QueryPoints:
 
     @ti.func
     def exists(self, p):
-        """True if there is a point p."""
+        """True if point p is in use."""
         result = p < self.samples.count[None] + self.capsules.count[None]
         if ti.static(self.has_fingers):  # noqa: SIM102
             if self.is_finger(p):
@@ -280,7 +280,7 @@ class QueryPoints:
 
     @ti.func
     def position(self, p, searching: ti.template()):
-        """Position of point p [m], when the substep in progress begins; or when the next one does, in a search."""
+        """Position of point p [m] at the start of the substep in progress; in a search, of the next one."""
         n, x = self.samples.count[None], vec3(0.0)
         if self.is_finger(p):
             if ti.static(self.has_fingers):
@@ -315,12 +315,12 @@ class QueryPoints:
 
     @ti.func
     def group_count(self):
-        """Number of groups that there are."""
+        """Number of groups in use."""
         return self.state.body_count[None] + self.capsules.capsule_count[None] + self.finger_groups
 
     @ti.func
     def group_at(self, k):
-        """The k-th group that there is."""
+        """The k-th group in use."""
         n, m, g = self.state.body_count[None], self.capsules.capsule_count[None], k
         if k >= n + m:
             g = STATIC_GROUPS + k - n - m
@@ -330,7 +330,7 @@ class QueryPoints:
 
     @ti.func
     def is_group(self, g):
-        """True if there is a group g."""
+        """True if group g is in use."""
         capsules = MAX_BODIES + self.capsules.capsule_count[None]
         return g < self.state.body_count[None] or MAX_BODIES <= g < capsules or g >= STATIC_GROUPS
 

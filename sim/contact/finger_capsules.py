@@ -105,13 +105,13 @@ class FingerCapsules:
 
     @ti.func
     def elapsed(self, searching: ti.template()):
-        """Fraction of the frame that has passed when the substep in progress begins, or, in a search, the next one."""
+        """Fraction of the frame before the substep in progress; in a search, before the next one."""
         s = self.state
         return ti.cast(s.substep_index[None] + ti.static(int(searching)), ti.f32) / ti.cast(s.substeps[None], ti.f32)
 
     @ti.func
     def position(self, p, searching: ti.template()):
-        """Position [m] of sample p then."""
+        """Position [m] of sample p at that time (see `elapsed`)."""
         return self.start[p] + self.elapsed(searching) * self.displacement[p]
 
     @ti.func
@@ -121,7 +121,7 @@ class FingerCapsules:
 
     @ti.func
     def note_overlap(self, p, distance):
-        """Sample p is at a distance [m] from a body that its hand passes through, at a search."""
+        """Note in a search how far [m] sample p is from a body that its hand passes through."""
         if distance < self.radius[p]:
             self.overlaps[p // SAMPLES_PER_HAND] = 1
 
@@ -132,7 +132,7 @@ class FingerCapsules:
 
     @ti.func
     def set_push(self, r, p, max_force, constraints: ti.template()):
-        """Let sample p push in constraint r with at most a force [N]."""
+        """Let sample p push in constraint r, with at most max_force [N]."""
         k, n = r - constraints.first_finger, ti.cast(self.state.substeps[None], ti.f32)
         constraints.finger_motion[k] = self.displacement[p] / n
         constraints.max_force[k] = max_force * self.limit[p // SAMPLES_PER_HAND]
@@ -177,7 +177,7 @@ class FingerCapsules:
 
 
 def capsules_of(hand: Hand | None) -> np.ndarray:
-    """Ends and radius [m] of a hand's finger capsules, (CAPSULES_PER_HAND, 7); radius 0 for none, or no number."""
+    """Ends and radius [m] of a hand's finger capsules, (CAPSULES_PER_HAND, 7); radius 0 where there is no valid one."""
     table = np.zeros((CAPSULES_PER_HAND, 7))
     if hand is not None:
         for row, touch in zip(table, hand.touch, strict=False):
@@ -194,6 +194,6 @@ def capsule_ends(capsules: np.ndarray) -> np.ndarray:
 
 
 def sample_positions(ends: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Samples of capsules: `counts` (H, C) of them evenly from end to end, (H, C, SAMPLES_PER_CAPSULE, 3)."""
+    """Samples of capsules, `counts` (H, C) on each, evenly spaced: (H, C, SAMPLES_PER_CAPSULE, 3)."""
     f = np.minimum(np.arange(SAMPLES_PER_CAPSULE) / np.maximum(counts[..., None] - 1, 1), 1.0)[..., None]
     return (1 - f) * ends[..., :1, :] + f * ends[..., 1:, :]

@@ -69,7 +69,7 @@ class StaticContact:
 
     @ti.func
     def _replace_farthest(self, p, k, x):
-        """In sample p's full list, let shape k take the place of the farthest, if that is farther than k."""
+        """Replace the farthest shape in sample p's full list by shape k, if k is nearer."""
         most, _ = self.shapes.distance(k, x)
         slot = -1
         for j in range(MAX_NEAR):
@@ -81,7 +81,7 @@ class StaticContact:
 
     @ti.func
     def _contact(self, i, p, shape):
-        """Distance [m], maybe unknown, normal and friction of vertex i, which is sample p, and a shape."""
+        """Distance [m] (may be unknown), normal and friction of vertex i, which is sample p, against a shape."""
         s = self.state
         phi, n = self.shapes.distance(shape, s.x[i])
         friction = ti.sqrt(s.frictions(self.samples.body[p]) * self.shapes.friction[shape])
@@ -162,7 +162,7 @@ class StaticContact:
 
     @ti.func
     def evaluate(self, p):
-        """Update the constraint of a point on a triangle, against the nearest shape; whether that has a distance."""
+        """Update the constraint of a point on a triangle and the nearest shape; returns whether that has a distance."""
         s = self.state
         x = self.samples.blend(p, s.x)
         phi, normal, friction = UNKNOWN_DISTANCE, vec3(0.0), 0.0
@@ -245,7 +245,7 @@ class DeformableContact:
         return self.hosts.hash.points if self.needed else 0
 
     def detect(self, constraints: ContactConstraints) -> None:
-        """Make the constraints of points near a tet of another body candidates; `normals` must be up to date too."""
+        """Make candidates of points near a tet of another body; bounds and `normals` must be up to date."""
         if self.needed:
             self.hosts.find(constraints, self.begin)
 
@@ -268,7 +268,7 @@ class DeformableContact:
 
     @ti.func
     def evaluate(self, r, constraints: ti.template()):
-        """Update constraint r's distance, normal and vertices; whether the host's grid has a distance there."""
+        """Update constraint r's distance, normal and vertices; returns whether the host's grid has a distance there."""
         s = self.state
         p = r - self.begin
         sampled = p < self.samples.count[None]
@@ -352,7 +352,7 @@ class DeformableContact:
 
 @ti.data_oriented
 class VertexNormals:
-    """Normals of the bodies' surfaces at their vertices, as they are at a search.
+    """Normals of the bodies' surfaces at their vertices, updated at each search.
 
     normal vec3[V]: unit mean of the normals of a vertex's triangles, 0 inside;   sum vec3i[V], in NORMAL_STEPS
     """

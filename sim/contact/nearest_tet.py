@@ -216,7 +216,7 @@ class NearestTets:
 
     @ti.func
     def next_host(self, t, b):
-        """Return the tet of the next substep for a point of weights b in tet t: across the worst face that leads on."""
+        """Return the tet to look in next for a point of weights b in tet t: across the face it is farthest beyond."""
         result, worst = t, MIN_WEIGHT
         for j in ti.static(range(4)):
             if b[j] < worst and self.neighbor[t][j] >= 0:
@@ -434,7 +434,7 @@ class NearestTets:
 
     @ti.func
     def _bucket(self, first, cells, k):
-        """Bucket of the k-th of these cells."""
+        """Bucket of the k-th cell of a box of cells."""
         h = self.hash
         return h.bucket_of(first + ti.Vector([k // (cells.y * cells.z), k // cells.z % cells.y, k % cells.z]))
 
@@ -471,7 +471,7 @@ class NearestTets:
 
     @ti.func
     def _approaching(self, p):
-        """Tet that may come to point p, which has none near: by descent from a seed to nearer neighbors; or -1."""
+        """Tet that may come to point p from far away, by descent from a seed to ever nearer neighbors; -1 if none."""
         s, x, g = self.state, self.points.position(p, True), self.points.group(p)
         box = self.bounds
         best, now = UNKNOWN_DISTANCE, -1
@@ -560,7 +560,7 @@ def neighbors_of(shape: RestShape) -> np.ndarray:
 
 
 def compact_runs(shape: RestShape, length: int) -> np.ndarray:
-    """The tets of a rest shape in runs of this length, each of tets close to one another; -1 fills the last one."""
+    """The tets of a rest shape in runs of this length, each of nearby tets; the last run is filled up with -1."""
     order = morton_order(shape.vertices[shape.tets].mean(axis=1))
     return np.concatenate([order, np.full(-len(order) % length, -1)])
 

@@ -32,7 +32,7 @@ KINETIC_FRICTION_SPEED = 0.02
 
 @ti.func
 def min_normal_motion(phi, dt):
-    """Least normal motion [m] of a contact at distance phi [m]: no deeper than the slop, out again if deeper."""
+    """Least normal motion [m] of a contact at distance phi [m]: down to the slop, or out again if it is deeper."""
     gap = phi + CONTACT_SLOP
     result = 0.0
     if gap > CONTACT_SLOP:
@@ -65,7 +65,7 @@ def holding_impulse(old, n, y, least, w_n, w_t, compliance, damping, most):
 
 @ti.func
 def contact_impulse(holding, n, A_n, w_t, friction, dt):
-    """The impulse of a contact: of all between that without friction and `holding`, the last in Coulomb's cone.
+    """The impulse of a contact: between the frictionless one and `holding`, the last one inside Coulomb's cone.
 
         p = alpha n + theta (holding - alpha n),   alpha = A n . holding / A n . n,   the largest theta in [0, 1] with
         |p_t| <= mu n . p
@@ -107,7 +107,7 @@ def isotropic_contact_impulse(holding, n, w_t, friction, dt):
 
 @ti.func
 def fingertip_spring(phi, dt):
-    """Least motion [m], compliance [1/kg] and damping of the soft pad that a fingertip is (see `holding_impulse`).
+    """Least motion [m], compliance [1/kg] and damping of a fingertip, which is soft (see `holding_impulse`).
 
         lambda = k dt^2 (-phi - (1 + T / dt) y),   k = FINGERTIP_STIFFNESS,   T = RECOVERY_TIME
 

@@ -115,7 +115,7 @@ class DistanceGrids:
 
     @ti.func
     def extrapolated(self, k, p):
-        """As `sample`, and outside the grid by way of its nearest point; and how far [m] p is outside.
+        """Distance and gradient as of `sample`, continued beyond the grid; and how far [m] p is outside.
 
         With e the nearest point of the grid, e - phi grad phi is on the surface: phi is the distance from p to there.
         """
@@ -196,7 +196,7 @@ def _mark_inside(inside: ti.types.ndarray(ti.i32, 3), corners: ti.types.ndarray(
 
 @ti.func
 def segment_distance_squared(a, b):
-    """Squared distance from the origin to the segment a-b."""
+    """Squared distance from the origin to segment ab."""
     e = b - a
     return (a + e * ti.math.clamp(-a.dot(e) / ti.max(e.norm_sqr(), 1e-20), 0.0, 1.0)).norm_sqr()
 
@@ -213,7 +213,7 @@ def triangle_distance_squared(a, b, c):
 
 
 def grid_of(shape: RestShape) -> DistanceGrid:
-    """Distance grid of a rest shape: its body's own, else one made of the mesh; an empty one of a box."""
+    """Distance grid of a rest shape: the body's own, or one made from its mesh; an empty grid for a box."""
     if shape.boxed:
         return DistanceGrid(np.full((2, 2, 2), UNKNOWN_DISTANCE, np.float32), np.zeros(3), 1e-3)
     if shape.sdf is not None:
@@ -262,7 +262,7 @@ class StaticShapes:
         self.place(shapes)
 
     def place(self, shapes: list[Shape]) -> None:
-        """Put the shapes, the same ones as at first, where these are."""
+        """Move the shapes: these are the same ones as at first, in other places."""
         gridded = 0
         for k, shape in enumerate(shapes):
             self._put(k, shape, gridded)
@@ -337,7 +337,7 @@ class StaticShapes:
 
 
 def placed(shape: Shape, pose: np.ndarray) -> Shape:
-    """The shape at a rigid transform (4, 4) of where it is. Raises BadInput for a box: its sides are along the axes."""
+    """The shape moved by a rigid transform (4, 4). Raises BadInput if a box is turned: its sides follow the axes."""
     R = pose[:3, :3]
 
     def at(point) -> Vec3:
@@ -362,7 +362,7 @@ def rotation_of(shape: StaticGrid) -> np.ndarray:
 
 
 def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of a box around a shape, of a grid around its own box [m]; UNKNOWN_DISTANCE of a plane."""
+    """Corners of a shape's bounding box [m], for a grid that of its nodes; +-UNKNOWN_DISTANCE for a plane."""
     if isinstance(shape, Plane):
         return np.full(3, -UNKNOWN_DISTANCE), np.full(3, UNKNOWN_DISTANCE)
     if isinstance(shape, Capsule):
@@ -472,7 +472,7 @@ def within(shape: Shape, points: np.ndarray) -> np.ndarray:
 
 
 def interpolate(grid, points: np.ndarray) -> np.ndarray:
-    """Trilinear distance [m] at points (N, 3) within a grid, which reads the cells that they are in alone."""
+    """Trilinear distance [m] at points (N, 3) within a grid; unlike its `sample` it converts no other cells."""
     cells = (points - grid.origin) / grid.spacing
     first = np.minimum(cells.astype(np.int64), np.array(grid.shape) - 2)
     f = cells - first

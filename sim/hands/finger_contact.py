@@ -42,7 +42,7 @@ class FingerContact:
         rigid_bodies=None,
         shapes=None,
     ):
-        """Rigid_bodies and their shapes: None without any."""
+        """rigid_bodies, shapes: None without rigid bodies."""
         self.state, self.capsules, self.bounds = capsules.state, capsules, bounds
         self.constraints, self.begin = constraints, begin
         self.rigid_bodies, self.shapes, self.coupled = rigid_bodies, shapes, rigid_bodies is not None
@@ -100,14 +100,14 @@ class FingerContact:
 
     @ti.func
     def _limit(self, h):
-        """Let a hand that pressed in full press with MAX_HAND_FORCE in all."""
+        """Limit the force of all samples of a hand together to MAX_HAND_FORCE."""
         pressed = ti.cast(self.pressed[h], ti.f32) * FORCE_STEP
         limit = self.capsules.limit[h] * MAX_HAND_FORCE / ti.max(pressed, 1e-3)
         self.capsules.limit[h] = ti.min(limit, 1.0)
 
     @ti.func
     def _find_rigid_body(self, p):
-        """Make sample p's second constraint a candidate if a free rigid body is near: with the nearest."""
+        """Make sample p's second constraint a candidate, with the nearest free rigid body if one is near."""
         s = self.state
         f = self.capsules
         r, body, least = self.begin + p, -1, UNKNOWN_DISTANCE
@@ -132,7 +132,7 @@ class FingerContact:
 
     @ti.func
     def evaluate(self, r):
-        """Update constraint r with a rigid body: whether its shape has a distance there."""
+        """Update constraint r with a rigid body; returns whether its shape has a distance there."""
         p, f = r - self.begin, self.capsules
         table = self.constraints
         b, x = self.rigid_body[p], f.position(p, False)

@@ -64,7 +64,7 @@ class GraspState:
         return cls((None,) * hands, (None,) * hands, ((),) * hands)
 
     def renumbered(self, index: list[int | None]) -> "GraspState":
-        """The same after bodies were renumbered: index[old] is the new one, None if it is gone, and so is the grasp."""
+        """The same after bodies were renumbered: index[old] is the new number, None of a removed body and its grasp."""
         kept = [None if g is None or index[g.body] is None else replace(g, body=index[g.body]) for g in self.grasps]
         return replace(self, grasps=tuple(kept))
 
@@ -96,7 +96,7 @@ def has_pose(hand: Hand) -> bool:
 
 
 def extended(history: PoseHistory, dt: float, hand: Hand, max_age: float) -> PoseHistory:
-    """The history after dt [s], with the hand's pose of now and without poses older than max_age [s]."""
+    """The history after dt [s]: with the hand's present pose, without poses older than max_age [s]."""
     aged = ((age + dt, at) for age, at in history)
     return (*((age, at) for age, at in aged if age <= max_age + 1e-6), (0.0, tuple(pose(hand).tolist())))
 
@@ -209,7 +209,7 @@ class Grasps:
         return [-1 if grasp is None else grasp.body for grasp in self.grasps]
 
     def get_state(self) -> GraspState:
-        """The grasps, as a value."""
+        """The grasps as a value that can be restored."""
         return GraspState(tuple(self.grasps), tuple(self.last), tuple(self.histories))
 
     def set_state(self, state: GraspState) -> None:
@@ -249,7 +249,7 @@ class Grasps:
             self._set_poses(poses)
 
     def _throw(self, body: int, history: PoseHistory) -> None:
-        """Let a body move on as the hand did that has held it."""
+        """Give a released body the motion of the hand that held it."""
         part = self.model.bodies[body]
         first, last = (int(o) for o in self.offsets[body : body + 2])
         if (part.inv_mass > 0.0).all():
@@ -263,7 +263,7 @@ class Grasps:
             self.state.v[first + i] += ti.Vector([dv[i, c] for c in range(3)])
 
     def _hold(self, h: int, grasp: Grasp | None) -> None:
-        """Let hand h hold exactly this."""
+        """Let hand h hold this, or nothing, and no longer what it held."""
         self.grasps[h] = grasp
         count = 1 if grasp is None else len(grasp.vertices)  # Taichi takes no empty arrays
         vertices, positions = np.zeros(count, np.int32), np.zeros((count, 3), np.float32)
@@ -322,7 +322,7 @@ class Grasps:
 
     @ti.func
     def apply_springs(self, i, d):
-        """The increment d [m] of vertex i with the springs of all hands that hold it."""
+        """Return the increment d [m] of vertex i after the springs of all hands that hold it."""
         pulled = d
         if ti.static(self.count > 0):
             held = self.held[i]
@@ -420,7 +420,7 @@ class RigidGrasp:
 
     @ti.kernel
     def _take(self, m: ti.template(), h: ti.i32, b: ti.i32):
-        """Hold body b where it is now in the frame that hand h has at the begin of the frame."""
+        """Let hand h hold body b, at its present pose in the hand's frame at the start of the frame."""
         self.body[h], self.force[h] = b, 0.0
         if b >= 0:
             back = quaternion.conjugate(self.grasps.rotation[h, 0])

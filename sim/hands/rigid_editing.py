@@ -37,7 +37,7 @@ class TwoHandGrasp:
 
 
 class RigidEditing:
-    """Places grasped bodies relative to where they were when they were grasped, so that no error accumulates."""
+    """Places grasped bodies relative to where they were grasped, so that no error accumulates."""
 
     def __init__(self, state: State):
         self._state = state
@@ -71,18 +71,18 @@ class RigidEditing:
         return bool(moved or pairs or self._pairs)
 
     def reset(self, *, held: bool = False) -> None:
-        """Forget where bodies were; those that are `held` go on from there with the hands, where these were."""
+        """Forget where bodies were grasped; with `held`, bodies in hands continue from where the hands are."""
         self._grasps.clear()
         self._pairs, self._scaling = {}, None
         self._held = self._poses if held else {}
 
     def end(self) -> None:
-        """Let two hands go of all that they scale."""
+        """End all scaling by two hands."""
         for body in list(self._pairs):
             self._end_pair(body, alone=False)
 
     def take_scaling(self) -> tuple[int, float] | None:
-        """Body and factor by which it is to be rescaled, once; None for none."""
+        """Return the body that two hands have scaled and its factor, once; None if there is none."""
         scaling, self._scaling = self._scaling, None
         return scaling
 
@@ -94,7 +94,7 @@ class RigidEditing:
             field.to_numpy()
 
     def _scale(self, hands: list[Hand | None], grasped: list[int]) -> list[int]:
-        """Move what two hands hold; returns `grasped` without these."""
+        """Move the bodies that two hands hold; returns `grasped` without them."""
         holding: dict[int, list[int]] = {}
         for h, body in enumerate(grasped[: len(hands)]):
             if body >= 0 and hands[h] is not None:
@@ -132,7 +132,7 @@ class RigidEditing:
         self._double.place(body, A, to - A @ origin)
 
     def _end_pair(self, body: int, *, alone: bool) -> None:
-        """Give a body its own size again; `alone`: one hand holds it on."""
+        """Restore a body's own size; `alone`: one hand still holds it."""
         pair, s = self._pairs.pop(body), self._state
         n = s.sizes.vertices
         mine = s.body_of_vertex.to_numpy()[:n] == body

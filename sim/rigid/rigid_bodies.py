@@ -79,7 +79,7 @@ class RigidBodies(Constraint):
         self.targets: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def load(self, model: Model) -> None:
-        """Take these bodies, of which those that are rigid move here; poses and momenta come by `set_motion`."""
+        """Take the rigid ones of these bodies; `set_motion` gives their poses and momenta."""
         self.bodies, self.begin = model.bodies, model.vertex_begin
         B = len(self.bodies)
         kind, inv_mass, restitution, max_step = (np.zeros(B) for _ in range(4))
@@ -94,7 +94,7 @@ class RigidBodies(Constraint):
         self.targets.clear()
 
     def _rigid(self) -> list[tuple[int, RigidBody]]:
-        """Index and body of each rigid one."""
+        """Index and description of each rigid body."""
         return [(b, p.body) for b, p in enumerate(self.bodies) if p.body.rigid]
 
     def set_motion(self, x: np.ndarray, v: np.ndarray) -> None:
@@ -129,7 +129,7 @@ class RigidBodies(Constraint):
         self.targets[b] = (p + matrices_from_quaternions(q) @ body.inertia[1], q)
 
     def begin_frame(self, hands: list, dt: float, substeps: int) -> None:
-        """Start towards the targets of this frame; a body without one (any more) stands still."""
+        """Start towards the targets of this frame; driven bodies without a target stand still."""
         driven = len(self.targets) > 0
         if driven:  # else without an array from the host, for which the device would be waited for
             table = np.zeros((MAX_BODIES, 8), np.float32)
@@ -255,7 +255,7 @@ class RigidBodies(Constraint):
 
     @ti.func
     def predict_body(self, b):
-        """Increments of the next substep without contacts, and then what the hands add."""
+        """Predict the increments of the next substep: free motion, and the springs of the hands."""
         s = self.state
         dt, n = s.dt[None], ti.cast(s.substeps[None], ti.f32)
         if self.kind[b] == FREE:
@@ -271,7 +271,7 @@ class RigidBodies(Constraint):
 
     @ti.func
     def place_vertex(self, i):
-        """Put vertex i of a rigid body where its body has it."""
+        """Put vertex i where the pose of its rigid body has it."""
         s = self.state
         b = s.body_of_vertex[i]
         r = self.R[b] @ (s.rest[i] - self.center[b])
@@ -391,7 +391,7 @@ def bearing_distance(p, half, facing):
 
 
 def outward_of(shape: RestShape, spacing: float) -> np.ndarray:
-    """Unit sum of the different face normals that meet at each sample of a rigid shape, (P, 3)."""
+    """Normalised sum of the distinct face normals that meet at each sample of a rigid shape, (P, 3)."""
     points = shape.once(points_of, spacing)
     result = np.zeros((len(points.ids), 3))
     if not shape.rigid:

@@ -88,7 +88,7 @@ class RigidBody:
 
     @property
     def material(self) -> Material:
-        """Density and friction as a Material; a rigid body has no elasticity, so that the moduli mean nothing."""
+        """Density and friction as a Material, whose moduli have no meaning."""
         return Material(1.0, 0.0, self.density, self.friction, 0.0, self.kinetic_friction)
 
     def of_material(self, material: Material) -> RigidBody:

@@ -37,7 +37,7 @@ HULL_TOLERANCE = 2.0 * CONTACT_SLOP
 
 
 def slot_count(samples: ContactSamples) -> int:
-    """Number of slots, which is that of the constraints."""
+    """Number of slots; each is a constraint."""
     return SLOTS * samples.capacity
 
 
@@ -58,10 +58,10 @@ def tangents(n):
 
 @ti.func
 def below(ahead, beside, rise, least, most):
-    """The inclinations of least..most at which a plane passes below a point so far ahead, beside, and higher by `rise`.
+    """The part of least..most in which a plane of that inclination passes below a point.
 
-    Lengths in m. Of two points as far ahead, the one on the left counts as farther. A point that coincides
-    with the plane's does not count.
+    The point is so far ahead, to the left, and higher by `rise` [m]. Of two points as far ahead the one on the left
+    counts as farther; a point that coincides with the plane's does not count.
     """
     low, high = least, most
     if ahead > CONTACT_SLOP:
@@ -172,7 +172,7 @@ class RigidBroadPhase:
 
     @ti.func
     def _offer(self, p, k):
-        """Keep or drop shape k if sample p has it in a slot, else give it the slot of the farthest if it is near."""
+        """Keep or drop shape k if sample p has it in a slot, else give it a free slot, or that of a farther shape."""
         P = self.samples.capacity
         mine, farthest, most = -1, 0, -UNKNOWN_DISTANCE
         for slot in range(SLOTS):
@@ -220,7 +220,7 @@ class RigidBroadPhase:
 
     @ti.func
     def _fill_slots(self):
-        """Keep, drop and take shapes in the slots of all samples. Outermost level of a kernel."""
+        """Update the shapes in the slots of all samples. Outermost level of a kernel."""
         for p in range(self.samples.capacity):
             if p < self.samples.count[None]:
                 n = self.static_shapes.count[None]
@@ -266,7 +266,7 @@ class RigidBroadPhase:
 
     @ti.func
     def _locate(self, q, g):
-        """Note where the contact of slot q in group g is."""
+        """Store where the contact of slot q in group g is."""
         p = q % self.samples.capacity
         x = self.samples.blend(p, self.state.x)
         phi, n = self.surface_at(q, x)
@@ -283,7 +283,7 @@ class RigidBroadPhase:
     def _sort(self, q):
         """Put slot q into its place in its group.
 
-        It is to spare until it is found to be a corner. What bounces is not to be forgotten.
+        It is spare until it proves to be a corner; a contact that bounces never is.
         """
         g, rank = self.group_of(q), 0
         for e in range(self.group_begin[g], self.group_begin[g] + self.size[g]):
@@ -320,7 +320,7 @@ class RigidBroadPhase:
 
     @ti.func
     def _thin_out(self, g, lane):
-        """Keep the entries of group g that are not to spare, in their order, and make them candidates."""
+        """Keep the entries of group g that are not spare, in their order, and make them candidates."""
         count, first, begin, size = 0, 0, self.group_begin[g], self.size[g]
         while first < size:
             e, q, kept = begin + first + lane, 0, 0

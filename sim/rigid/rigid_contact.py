@@ -38,7 +38,7 @@ class RigidContacts:
 
     @ti.func
     def evaluate(self, r):
-        """Update constraint r's distance, normal and bodies; whether the shape has a distance there."""
+        """Update constraint r's distance, normal and bodies; returns whether the shape has a distance there."""
         s = self.state
         table = self.constraints
         f = self.search
@@ -66,7 +66,7 @@ class RigidContacts:
 
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
-        """As ContactConstraints.activate, for one of a group, of which the first that carries a load counts for all."""
+        """Activate a constraint of a group as ContactConstraints does; the first that carries a load counts for all."""
         g, loaded = self.search.group_of(r - self.begin), False
         if usable:
             loaded = self._carries_load(r, g, self.constraints.relative_motion(r, 0, integrator))
@@ -80,9 +80,9 @@ class RigidContacts:
 
     @ti.func
     def _carries_load(self, r, g, y):
-        """True if constraint r of group g pushed in the last substep, or has to in this one, of motion y [m] so far.
+        """True if constraint r of group g pushed in the last substep, or has to now, after the motion y [m].
 
-        Of what strikes, it notes the speed at which that bounces, until this is reached or IMPACT_SUBSTEPS are over.
+        For an impact it stores the speed of the rebound, until that is reached or IMPACT_SUBSTEPS are over.
         """
         table, f, q = self.constraints, self.search, r - self.begin
         dt = self.state.dt[None]
@@ -207,7 +207,7 @@ class RigidContacts:
 
     @ti.func
     def _copy_of(self, b, j):
-        """Increments of body b before pass j, and its inverse mass and inertia, of the part that a group may use."""
+        """Increments of body b before pass j, and the inverse of the mass and inertia that a group may use."""
         m = self.rigid_bodies
         splits = m.splits(b)
         d, t = m.increments(b, j)

@@ -143,7 +143,7 @@ def _trained(options: TrainOptions, capture, train: list, objects: list[str]) ->
     if options.checkpoint_every and kept.is_file() and not options.fresh:
         from prepare.train.trainer import read_checkpoint
 
-        trainer.restore(read_checkpoint(kept, about, len(train)))
+        trainer.restore(read_checkpoint(kept, about, trainer.state(), len(train)))
         print(f"resuming from step {trainer.done} ({kept}; --fresh starts over)", file=sys.stderr)
     progress = _Progress(trainer, kept if options.checkpoint_every else None, options.checkpoint_every, about)
     if options.preview:

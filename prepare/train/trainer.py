@@ -26,11 +26,6 @@ SIDE_MIN = 32  # [px] smaller pictures are not reduced: SSIM's window is 11
 CLEARED = (0.5, 0.6, 0.7, 0.8, 0.9)  # fractions of a training at which free space is cleared: growth has ended
 STRATEGIES = {"default": AdaptiveDensity, "mcmc": MonteCarlo}
 FORMAT, VERSION = "vrgs-training", 2
-COLUMNS = {"mean": (3,), "quat": (4,), "log_scale": (3,), "logit": (), "first": (11,), "second": (11,)}
-COLUMNS |= {"gradient_sum": (), "gradient_count": ()}
-OF_VIEWS = (("exposure", "exposure", 12), ("poses", "pose", 6))  # option, dataset, numbers a view
-HARMONICS = ("sh", "first_sh", "second_sh")
-LABELS = ("label", "first_label", "second_label")  # if objects are learned
 
 
 class Target(NamedTuple):
@@ -290,31 +285,26 @@ def write_checkpoint(path: Path, state: dict[str, np.ndarray], options: dict) ->
             file.create_dataset(name, data=values)
 
 
-def read_checkpoint(path: Path, options: dict, views: int) -> dict[str, np.ndarray]:
-    """The state of a trainer of `views` photographs with the same options. Raises BadInput."""
+def read_checkpoint(path: Path, options: dict, like: dict[str, np.ndarray], views: int) -> dict[str, np.ndarray]:
+    """The state of a trainer of `views` photographs with the same options, whose states are `like` that. Raises
+    BadInput."""
     with open_hdf5(path) as file:
         if file.text("", "format") != FORMAT or file.number("", "version") != VERSION:
             raise file.error("is no checkpoint of a training of this version")
         if file.json("", "options", dict[str, Any]) != options:
             raise file.error("was made with other options; with --fresh the training starts anew")
-        count = len(file.floats("mean", (None, 3)))
-        state = {name: file.floats(name, (count, *shape)) for name, shape in COLUMNS.items()}
-        coefficients = SH_COUNTS[options["degree"]]
-        state |= {name: file.floats(name, (count, coefficients, 3)) for name in HARMONICS}
-        if options.get("objects"):
-            state |= {name: file.floats(name, (count, 3)) for name in LABELS}
-        for option, name, numbers in OF_VIEWS:
-            if options.get(option):
-                state[name] = file.floats(name, (views, 3, numbers), np.float64)
-        for name, values in state.items():
-            if not np.isfinite(values).all():
-                raise file.error(f"{name} is not finite")
-        for option, name, _ in OF_VIEWS:
-            if options.get(option):
-                state[f"{name}_steps"] = file.indices(f"{name}_steps", (views,), np.int64)
-        state["done"] = file.indices("done", (1,), np.int64)
-        state["queue"] = file.indices("queue", (None,))
-        state["rng"] = file.array("rng", "iu", (4,)).astype(np.uint64)
+        state, count = {}, len(file.floats("mean", (None, 3)))
+        for name, values in like.items():
+            shape = (None,) if name == "queue" else values.shape
+            if name == "rng":
+                state[name] = file.array(name, "iu", shape).astype(np.uint64)
+            elif values.dtype.kind == "i":
+                state[name] = file.indices(name, shape, values.dtype)
+            else:  # float32: a row a Gaussian; float64: a row a view
+                rows = count if values.dtype == np.float32 else len(values)
+                state[name] = file.floats(name, (rows, *shape[1:]), values.dtype)
+                if not np.isfinite(state[name]).all():
+                    raise file.error(f"{name} is not finite")
         if count == 0 or (state["queue"] >= views).any():
             raise file.error("does not belong to these photographs")
         return state

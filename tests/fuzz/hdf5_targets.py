@@ -138,21 +138,26 @@ def read_saved_state(path: Path) -> None:
             game_values(SomeGame(), state.settings.game)
 
 
+def training_state() -> dict[str, np.ndarray]:
+    """The state of a training with poses."""
+    shapes = {"mean": (5, 3), "logit": (5,), "first": (5, 11), "sh": (5, 4, 3)}
+    state = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    state |= {"pose": np.zeros((4, 3, 6)), "pose_steps": np.zeros(4, np.int64), "done": np.array([7])}
+    return state | {"queue": np.arange(3, dtype=np.int32), "rng": np.arange(4, dtype=np.uint64)}
+
+
 def training_samples(folder: Path) -> list[Files]:
     """A checkpoint of a training."""
-    from prepare.train.trainer import COLUMNS, HARMONICS, write_checkpoint
+    from prepare.train.trainer import write_checkpoint
 
-    state = {name: np.zeros((5, *shape), np.float32) for name, shape in COLUMNS.items()}
-    state |= {name: np.zeros((5, 4, 3), np.float32) for name in HARMONICS}
-    state |= {"done": np.array([7]), "queue": np.arange(3, dtype=np.int32), "rng": np.arange(4, dtype=np.uint64)}
-    return [saved(folder, "training.h5", lambda path: write_checkpoint(path, state, {"degree": 1}))]
+    return [saved(folder, "training.h5", lambda path: write_checkpoint(path, training_state(), {"degree": 1}))]
 
 
 def read_training(path: Path) -> None:
     """Read the checkpoint of a training."""
     from prepare.train.trainer import read_checkpoint
 
-    read_checkpoint(path, {"degree": 1}, 4)
+    read_checkpoint(path, {"degree": 1}, training_state(), 4)
 
 
 def checkpoint_samples(folder: Path) -> list[Files]:

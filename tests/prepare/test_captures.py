@@ -22,6 +22,10 @@ from prepare.train.structure_from_motion import find_poses, photographs_in, shar
 WIDTH, HEIGHT = 48, 32
 EYES = [(2.0, 0.5, 0.0), (0.0, 0.6, 2.0), (-2.0, 0.4, 0.1), (0.3, 0.5, -2.0)]
 POSES = [look_at(eye, (0, 0, 0)) for eye in EYES]
+LENSES = (
+    Lens(320, 240, 220.0, 225.0, 165.0, 118.0, (-0.2, 0.05, 0.002, -0.001)),
+    Lens(320, 240, 150.0, 150.0, 160.0, 120.0, (0.05, -0.01, 0.0, 0.0), fisheye=True),
+)
 POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))
 
 
@@ -134,13 +138,7 @@ def test_a_cut_colmap_model_is_refused(folder, make):
         path.write_bytes(whole)
 
 
-@pytest.mark.parametrize(
-    "lens",
-    [
-        Lens(320, 240, 220.0, 225.0, 165.0, 118.0, (-0.2, 0.05, 0.002, -0.001)),
-        Lens(320, 240, 150.0, 150.0, 160.0, 120.0, (0.05, -0.01, 0.0, 0.0), fisheye=True),
-    ],
-)
+@pytest.mark.parametrize("lens", LENSES)
 def test_an_undistorted_picture_is_that_of_a_pinhole(lens):
     """A pattern over directions, photographed through the lens: undistorted, each pixel shows its own direction."""
 
@@ -161,13 +159,7 @@ def test_an_undistorted_picture_is_that_of_a_pinhole(lens):
     assert np.abs(straight[..., 0] - truth)[mask].max() < 6.0  # of 120; half a pixel off would be 8 to 15
 
 
-@pytest.mark.parametrize(
-    "lens",
-    [
-        Lens(320, 240, 220.0, 225.0, 165.0, 118.0, (-0.2, 0.05, 0.002, -0.001)),
-        Lens(320, 240, 150.0, 150.0, 160.0, 120.0, (0.05, -0.01, 0.0, 0.0), fisheye=True),
-    ],
-)
+@pytest.mark.parametrize("lens", LENSES)
 def test_labels_of_the_pinhole_come_back_through_the_lens(lens):
     """A disc away from the middle: bent straight and back it is the same but for its rim."""
     down, along = np.mgrid[: lens.height, : lens.width]

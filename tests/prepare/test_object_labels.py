@@ -9,13 +9,14 @@ from prepare.train.densification import AdaptiveDensity
 from prepare.train.object_labels import label_colors, nearest_label
 from prepare.train.photographs import load_photograph
 from prepare.train.seeds import seeds
-from prepare.train.trainer import LABELS, Trainer, TrainOptions, read_checkpoint, write_checkpoint
+from prepare.train.trainer import Trainer, TrainOptions, read_checkpoint, write_checkpoint
 from tests.support import painted_capture
 
 CAP = 500
 TEST = (0, 6)  # photographs that are not learned from
 BLIND = 5  # the one without a mask
 NAMES = ("left", "right")
+LABELS = ("label", "first_label", "second_label")
 
 
 def test_labels_lie_far_apart_and_the_nearest_is_found():
@@ -89,7 +90,7 @@ def test_what_is_divided_hands_its_label_down(trained):
 def test_a_checkpoint_keeps_labels(trained, tmp_path):
     trainer, options = trained[0], {"degree": 0, "objects": NAMES}
     write_checkpoint(tmp_path / "a.h5", trainer.state(), options)
-    state = read_checkpoint(tmp_path / "a.h5", {**options, "objects": list(NAMES)}, len(trainer.views))
+    state = read_checkpoint(tmp_path / "a.h5", {**options, "objects": list(NAMES)}, trainer.state(), len(trainer.views))
     kept = {name: trainer.state()[name] for name in LABELS}
     trainer.step()
     assert all((trainer.state()[name] != kept[name]).any() for name in LABELS)

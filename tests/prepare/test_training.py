@@ -67,14 +67,14 @@ def test_a_restored_trainer_goes_on_as_the_first_one(trained, tmp_path):
         for _ in range(15):
             trainer.step()
         ends.append((trainer.done, list(trainer._queue), trainer.population.splats.mean.to_numpy()))
-        read = read_checkpoint(tmp_path / "a.h5", options, len(cameras()))
+        read = read_checkpoint(tmp_path / "a.h5", options, state, len(cameras()))
         for name, values in state.items():
             assert_array_equal(read[name], values)
         trainer.restore(read)
     assert ends[0][:2] == ends[1][:2]
     assert_allclose(ends[0][2], ends[1][2], atol=2e-3)
     with pytest.raises(BadInput, match="other options"):
-        read_checkpoint(tmp_path / "a.h5", {"degree": 1}, len(cameras()))
+        read_checkpoint(tmp_path / "a.h5", {"degree": 1}, state, len(cameras()))
 
 
 def test_a_positional_gradient_counts_less_near_the_camera(trained):

@@ -65,15 +65,6 @@ def test_all_of_few_photographs_are_learned_from():
     assert kept_for_test([1, 2], 0) == ([1, 2], [])
 
 
-def test_two_photographs_are_too_few(tmp_path, capsys):
-    folder = changed(tmp_path / "two", lambda k, image, frame, data: image)
-    data = json.loads((folder / "transforms.json").read_text())
-    data["frames"] = data["frames"][::6]
-    (folder / "transforms.json").write_text(json.dumps(data))
-    assert main(["train", str(folder), "--out", str(tmp_path / "a.ply")]) == 2
-    assert "2 views; take at least 3" in capsys.readouterr().err
-
-
 def test_what_500_photographs_take_is_said_and_what_to_lower(tmp_path):
     folder = changed(tmp_path / "many", lambda k, image, frame, data: image)
     data = json.loads((folder / "transforms.json").read_text())

@@ -7,10 +7,10 @@ against the bytes that are there before memory of that size is allocated.
 
 from __future__ import annotations
 
-import json
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from assets.animation import decompose, slerp
 from assets.file_access import open_input
 from assets.images import decode_image, read_image_header
 from core.errors import BadInput
+from core.typed import Range, Shape, from_json, from_plain
 
 GLB_MAGIC, GLB_VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -74,12 +75,7 @@ class GlbFile:
             raise self.error(f"is truncated: {len(data)} of {length} bytes are there")
         if kind != JSON_CHUNK or size > min(length - 20, JSON_MAX):
             raise self.error("its first chunk is not a JSON text that fits the file")
-        try:
-            found = json.loads(data[20 : 20 + size].decode("utf-8"))
-        except (ValueError, RecursionError) as e:
-            raise self.error("its JSON chunk is damaged") from e
-        if not isinstance(found, dict):
-            raise self.error("its JSON chunk is not an object")
+        found = from_json(dict[str, Any], data[20 : 20 + size], f"{self.path}: its JSON chunk")
         at = 20 + size
         if at + 8 > length:
             return found, memoryview(b"")
@@ -90,10 +86,7 @@ class GlbFile:
 
     def list(self, parent: dict, key: str) -> list:
         """The list parent[key], empty if it is not there."""
-        found = parent.get(key, [])
-        if not isinstance(found, list):
-            raise self.error(f"{key} is not a list")
-        return found
+        return from_plain(list[Any], parent.get(key, []), f"{self.path}: {key}")
 
     def item(self, kind: str, index) -> dict:
         """Entry `index` of the file's list `kind` ("nodes", "meshes" ...)."""
@@ -106,21 +99,12 @@ class GlbFile:
 
     def integer(self, parent: dict, key: str, largest: int, default: int | None = None) -> int:
         """The whole number parent[key], 0 to `largest`."""
-        value = parent.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
-            raise self.error(f"{key} is {str(value)[:20]}, not a whole number of 0 to {largest}")
-        return value
+        return from_plain(Annotated[int, Range(0, largest)], parent.get(key, default), f"{self.path}: {key}")
 
     def numbers(self, parent: dict, key: str, default: tuple) -> np.ndarray:
         """The list of finite numbers parent[key], as many as `default` has, float64."""
-        value = parent.get(key, default)
-        try:
-            found = np.asarray(value, np.float64)
-        except (TypeError, ValueError, OverflowError) as e:
-            raise self.error(f"{key} is not a list of numbers") from e
-        if found.shape != (len(default),) or not np.isfinite(found).all():
-            raise self.error(f"{key} is not a list of {len(default)} finite numbers")
-        return found
+        kind = Annotated[np.ndarray, Shape(len(default))]
+        return from_plain(kind, parent.get(key, list(default)), f"{self.path}: {key}")
 
     def view(self, index) -> tuple[memoryview, int]:
         """The bytes of a buffer view, and its stride, 0 if what it holds is packed."""

@@ -18,6 +18,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -26,9 +27,11 @@ from assets.formats.packing import join_largest, logits_from_bytes
 from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
 from assets.images import decode_image, read_image_header
 from core.errors import BadInput
+from core.typed import Range, Shape, from_json, from_plain
 
 META_MAX = 1 << 20  # [bytes] of a meta.json; codebooks of 256 numbers take some kilobytes
 COUNT_MAX = 1 << 28  # 16,384 x 16,384, the largest WebP image
+NUMBER_MAX = 1e30  # of the numbers in a meta.json
 NAME_MAX = 255  # [characters] of a file's name, on most file systems
 LARGEST_MIN = 252  # alpha of a quaternion whose w is left out
 PALETTE_WIDTH = 64  # palette entries in a row
@@ -73,10 +76,7 @@ class Images:
 
     def section(self, name: str) -> dict:
         """An object of the meta.json."""
-        found = self.meta.get(name)
-        if not isinstance(found, dict):
-            raise BadInput(f"{self.path}: meta.json lacks {name!r}")
-        return found
+        return from_plain(dict[str, Any], self.meta.get(name), f"{self.path}: meta.json: {name}")
 
     def numbers(self, name: str, key: str, count: int) -> np.ndarray:
         """Finite numbers of the meta.json, float64, as many as `count`."""
@@ -84,10 +84,8 @@ class Images:
         return self._finite(values if isinstance(values, list) else [values], f"{key} of {name}", count)
 
     def _finite(self, values: list, what: str, count: int) -> np.ndarray:
-        numeric = all(isinstance(v, int | float) and abs(v) < 1e30 for v in values)  # NaN compares false
-        if not numeric or len(values) != count:
-            raise BadInput(f"{self.path}: {what} in meta.json is not {count} finite numbers")
-        return np.array(values, np.float64)
+        kind = Annotated[np.ndarray, Shape(count), Range(-NUMBER_MAX, NUMBER_MAX)]
+        return from_plain(kind, values, f"{self.path}: meta.json: {what}")
 
     def codebook(self, name: str) -> np.ndarray:
         """Value of each byte, (256,); NaN beyond the end of a shorter codebook."""
@@ -165,11 +163,8 @@ def _beside(path: Path, name: str) -> bytes:
 def _meta(path: Path, text: bytes) -> dict:
     if len(text) > META_MAX:
         raise BadInput(f"{path}: its meta.json is larger than {META_MAX} bytes")
-    try:
-        meta = json.loads(text)
-    except (ValueError, RecursionError) as e:  # ValueError: not UTF-8, not JSON, a number of too many digits
-        raise BadInput(f"{path}: its meta.json is not JSON") from e
-    if not isinstance(meta, dict) or "means" not in meta:
+    meta = from_json(dict[str, Any], text, f"{path}: its meta.json")
+    if "means" not in meta:
         raise BadInput(f"{path}: its meta.json describes no splat")
     return meta
 

@@ -49,15 +49,6 @@ def paper_folder(demo: str) -> Path:
     return cache_folder() / "paper" / demo
 
 
-def asset_sizes(name: str) -> tuple[int, int]:
-    """Numbers of Gaussians and of cage vertices (0: no cage) of an asset. Raises BadInput."""
-    from assets.hdf5 import open_hdf5
-
-    with open_hdf5(find_asset(name)) as file:
-        gaussians = len(file.array("gaussians/means", "fiu", (None, 3)))
-        return gaussians, len(file.array("cage/vertices", "f", (None, 3))) if file.has("cage") else 0
-
-
 def asset_material(name: str) -> Material | None:
     """The material that an asset file names, checked; None if it names none. Raises BadInput."""
     from assets.asset import read_material
@@ -73,13 +64,8 @@ def asset_material(name: str) -> Material | None:
 
 def default_material(name: str) -> Material:
     """The asset's own material; of one without, flesh if it is animated, else plush. Raises BadInput."""
-    from assets.hdf5 import open_hdf5
-
-    own = asset_material(name)
-    if own is not None:
-        return own
-    with open_hdf5(find_asset(name)) as file:
-        return Material.named(ANIMATED_MATERIAL if file.has("animation") else DEFAULT_MATERIAL)
+    usual = DEFAULT_MATERIAL if animated_height(name) is None else ANIMATED_MATERIAL
+    return asset_material(name) or Material.named(usual)
 
 
 def animated_height(name: str) -> float | None:

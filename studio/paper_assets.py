@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from assets.file_access import make_folder
-from assets.library import asset_sizes, search_first
+from assets.hdf5 import open_hdf5
+from assets.library import find_asset, search_first
 from core.errors import BadInput
 from core.open3d_package import check_open3d
 from scenes import registry
@@ -34,6 +35,13 @@ def parts_of(scene: Scene) -> list[Part]:
     soft = {body.asset for body in scene.bodies if body.material is not None and body.kind == "soft"}
     parts = [Part(asset, count, *asset_sizes(asset), asset in soft) for asset, count in counts.items()]
     return sorted(parts, key=lambda part: (not part.simulated, part.gaussians))
+
+
+def asset_sizes(name: str) -> tuple[int, int]:
+    """Numbers of Gaussians and of cage vertices (0: no cage) of an asset. Raises BadInput."""
+    with open_hdf5(find_asset(name)) as file:
+        gaussians = len(file.array("gaussians/means", "fiu", (None, 3)))
+        return gaussians, len(file.array("cage/vertices", "f", (None, 3))) if file.has("cage") else 0
 
 
 def detail_of(part: Part, left: list[Part], gaussians: int, vertices: int) -> Detail:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from assets.asset import Asset
-from assets.library import asset_sizes, find_asset, search_first
+from assets.library import find_asset, search_first
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Body
@@ -13,7 +13,7 @@ from scenes.paper_demos import PAPER_DEMOS, PaperDemo, paper_demo_of, use_paper_
 from scenes.scene import Scene
 from studio import catalogue, paper_assets
 from studio.__main__ import main
-from studio.paper_assets import Part, detail_of, parts_of
+from studio.paper_assets import Part, asset_sizes, detail_of, parts_of
 from studio.ring import torus_cage
 from tests.support.samples import some_gaussians
 

@@ -43,10 +43,10 @@ def read_asset(path: Path) -> None:
     """Load an asset in each of the ways of the program."""
     from assets.asset import Asset
     from assets.environment import Environment
-    from assets.library import animated_height, asset_material, asset_sizes, cage_vertices, default_material
+    from assets.library import animated_height, asset_material, cage_vertices, default_material
     from core.errors import BadInput
 
-    for look in (asset_sizes, asset_material, animated_height, cage_vertices, default_material, Environment.load):
+    for look in (asset_material, animated_height, cage_vertices, default_material, Environment.load):
         try:
             look(str(path))
         except BadInput as e:

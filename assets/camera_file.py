@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write, read_json
+from assets.file_access import read_json, write_json
 from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
-from core.typed import field_types, from_plain, to_plain
+from core.typed import field_types, from_plain
 
 SIZE_MAX = 64 << 20  # [bytes]: some 100,000 cameras
 
@@ -31,9 +30,7 @@ def read_cameras(path: str | Path) -> list[Camera]:
 
 def write_cameras(path: str | Path, cameras: list[Camera]) -> None:
     """Write a CAM.json: an object, or a list of several. Raises BadInput."""
-    items = to_plain(cameras)
-    with atomic_write(path) as beside:
-        beside.write_text(json.dumps(items if len(items) != 1 else items[0], indent=1) + "\n", encoding="utf-8")
+    write_json(path, cameras if len(cameras) != 1 else cameras[0])
 
 
 def parse_camera(where: str, item) -> Camera:

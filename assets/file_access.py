@@ -15,6 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from core.errors import BadInput
+from core.typed import to_json
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")  # suffixes of pictures that are written
 UNPACK_BASE = 64 << 20  # [bytes] that even the smallest file may unpack to
@@ -69,6 +70,12 @@ def read_json(path: Path, size_max: int):
         return json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as e:
         raise BadInput(f"{path}: not a JSON file ({e})") from e
+
+
+def write_json(path: str | Path, value) -> None:
+    """Write a value as a JSON file (core/typed.py), whole or not at all. Raises BadInput."""
+    with atomic_write(path) as beside:
+        beside.write_text(to_json(value, indent=1) + "\n", encoding="utf-8")
 
 
 def check_writable(path: Path, part: Path | None = None, *, bytes_needed: float = 0.0) -> None:

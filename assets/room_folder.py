@@ -10,7 +10,6 @@ All is data: nothing in such a folder is run.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from assets.camera_file import parse_camera
-from assets.file_access import atomic_write, read_json
+from assets.file_access import read_json, write_json
 from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
@@ -123,14 +122,12 @@ def is_room_folder(path: str | Path) -> bool:
 
 def write_room(folder: Path, room: RoomManifest) -> None:
     """Write the manifest of a room. Raises BadInput."""
-    with atomic_write(folder / MANIFEST) as beside:
-        write_manifest(beside, room)
+    write_manifest(folder / MANIFEST, room)
 
 
 def write_manifest(path: Path, room: RoomManifest) -> None:
-    """Write the manifest of a room to this file."""
-    text = json.dumps({"format": FORMAT, "version": VERSION, **to_plain(room)}, indent=1)
-    path.write_text(text + "\n", encoding="utf-8")
+    """Write the manifest of a room to this file. Raises BadInput."""
+    write_json(path, {"format": FORMAT, "version": VERSION, **to_plain(room)})
 
 
 def read_room(folder: str | Path) -> RoomManifest:

@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, write_json
 from bench import physics, physics_contact
-from display.timing import write_stats
 
 HEAD = ("check", "reference", "measured", "tolerance", "verdict")
 KEYS = ("check", "relation", *HEAD[1:4], "pass")  # of a row in the JSON file
@@ -51,7 +50,7 @@ def run(args) -> int:
     begin = perf_counter()
     rows = list(show(measured(MEASUREMENTS, quick=args.quick)))
     if args.json:
-        write_stats(args.json, [{key: r[key] for key in KEYS} for r in rows])
+        write_json(args.json, [{key: r[key] for key in KEYS} for r in rows])
     failed = [r for r in rows if r["pass"] is False]
     skipped = sum(r["pass"] is None for r in rows)
     passed = len(rows) - len(failed) - skipped

@@ -14,9 +14,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import taichi as ti
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, write_json
 from bench.stereo_play import RATE, StereoPlay
-from display.timing import write_stats
 from scenes import registry
 from scenes.paper_demos import PaperDemo, paper_demos, use_paper_assets, use_shipped_assets
 
@@ -41,7 +40,7 @@ def run(args) -> int:
         rows.append(row | {"detail": args.detail})
         print(line(row), flush=True)
     if args.json:
-        write_stats(args.json, rows)
+        write_json(args.json, rows)
     for row in (r for r in rows if not r["finite"]):
         print(f"vrgs: bench demos: not finite: {row['demo']}", file=sys.stderr)
     return 0 if all(r["finite"] for r in rows) else 1

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from assets.file_access import write_json
 from bench.stereo_play import EYE_SIZE, RATE, StereoPlay
-from display.timing import write_stats
 from display.xr.headset import NoMirror
 from display.xr.swapchains import FRAGMENT, VERTEX
 from scenes import ring_toss
@@ -31,7 +31,7 @@ def run(args) -> None:
         print(f"  from motion to light {row['photon_ms']:.2f} ms and {500 / RATE:.2f} on average to the next refresh")
         print(f"  pictures go to OpenGL {'through the host' if row['through_host'] else 'on the device'}")
     if args.json:
-        write_stats(args.json, rows)
+        write_json(args.json, rows)
 
 
 def measure(exact: bool) -> dict:

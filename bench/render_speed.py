@@ -13,10 +13,9 @@ from time import perf_counter
 
 import taichi as ti
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, write_json
 from bench.synthetic_room import SIZES, eyes, room
 from core.camera import Camera
-from display.timing import write_stats
 from render.renderer import Renderer
 from render.splats import Splats
 
@@ -35,7 +34,7 @@ def run(args) -> None:
         rows.append(row)
         print(f"{name:>10} {row['pairs']:11,} {row['median_ms']:10.3f} {row['worst_ms']:10.3f}", flush=True)
     if args.json:
-        write_stats(args.json, rows)
+        write_json(args.json, rows)
 
 
 def measure(count: int, width: int, height: int, *, rounds: int) -> dict:

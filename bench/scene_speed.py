@@ -17,13 +17,12 @@ import numpy as np
 import taichi as ti
 
 from assets.asset import Asset
-from assets.file_access import check_writable
+from assets.file_access import check_writable, write_json
 from bench.measured_bodies import SHAPES, body_name, stripped_body
 from bench.scene_acts import ACTS, Cast, room
 from core.errors import BadInput
 from core.material import Material
 from core.program import cache_folder
-from display.timing import write_stats
 from sim.model import Capacity, Model, RestShape
 from sim.solver import Solver
 
@@ -63,7 +62,7 @@ def run(args) -> int:
         print(f"{row['asset']:14} {row['size']:>6} {row['acts']:18} {row['material']:9}" + figures, flush=True)
     print("\n" + summary(rows, list(materials)))
     if args.json:
-        write_stats(args.json, rows)
+        write_json(args.json, rows)
     for row in (r for r in rows if not r["sound"]):
         print("vrgs: bench scene: not finite: {asset} {size} {acts} {material}".format(**row), file=sys.stderr)
     return 0 if all(r["sound"] for r in rows) else 1

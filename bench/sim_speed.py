@@ -14,12 +14,11 @@ from time import perf_counter
 import numpy as np
 import taichi as ti
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, write_json
 from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
-from display.timing import write_stats
 from sim.contact.static_shapes import StaticGrid
 from sim.model import SoftBody
 from sim.solver import Solver
@@ -52,7 +51,7 @@ def run(args) -> None:
         figures = (row[k] for k in ("median_ms", "us_per_substep", "headset_ms", "simulated_per_second"))
         print(f"{name:28} {row['vertices']:12} {row['tets']:12}" + "".join(f" {f:12.2f}" for f in figures), flush=True)
     if args.json:
-        write_stats(args.json, rows)
+        write_json(args.json, rows)
 
 
 def scenes(sizes: list[str]) -> Iterator[tuple[str, list[SoftBody], list, bool]]:

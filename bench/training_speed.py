@@ -16,8 +16,9 @@ from time import perf_counter
 import numpy as np
 import taichi as ti
 
+from assets.file_access import write_json
 from core.errors import BadInput
-from display.timing import peak_memory_mb, write_stats
+from display.timing import peak_memory_mb
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
 
 STAGE_STEPS = 100  # that are timed stage by stage, with the device waited for after each
@@ -37,7 +38,7 @@ def run(args) -> None:
             rows += measure(Path(name).name, text, read, training_options(args, options, text), args.at)
             print_rows(rows)
         if args.json:
-            write_stats(args.json, rows)
+            write_json(args.json, rows)
 
 
 def variant_of(text: str) -> TrainOptions:

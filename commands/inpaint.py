@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write, check_writable
+from assets.file_access import atomic_write, check_writable, write_json
 from assets.gaussians import concatenate
 from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
 from commands import options as cli
@@ -193,5 +192,4 @@ def _report(path: Path, objects: list[dict], whole: dict) -> None:
         save_picture(path.with_suffix(".png"), np.concatenate(sheet))
     with atomic_write(path.with_suffix(".html")) as beside:
         beside.write_text(html_page("Inpainting", text, sections), encoding="utf-8")
-    with atomic_write(path) as beside:
-        beside.write_text(json.dumps(whole | {"objects": objects}, indent=1) + "\n", encoding="utf-8")
+    write_json(path, whole | {"objects": objects})

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from assets.asset import Asset
-from assets.file_access import check_writable
+from assets.file_access import check_writable, write_json
 from assets.library import default_material, find_asset
 from commands import options as cli
 from commands.prepared import cached_body, is_asset
@@ -19,7 +19,6 @@ from core.errors import BadInput
 from core.material import Material
 from core.runtime import start_taichi
 from display.picture import save_picture
-from display.timing import write_stats
 
 DROP_HEIGHT_MIN = 0.1  # [m], without --height
 
@@ -181,5 +180,5 @@ def tune(options: TuneOptions) -> None:
         drops.append(d)
     save_picture(out, strip(name, drops, drop_height))
     if options.json:
-        write_stats(options.json, [d.row() for d in drops])
+        write_json(options.json, [d.row() for d in drops])
     print(f"wrote {out}", file=sys.stderr)

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from assets.file_access import write_json
 from commands.opening import Opening
 from core.errors import BadInput, Cancelled
 from core.measured_length import scale_between
 from core.runtime import end_taichi, is_out_of_memory, start_taichi
 from display.picture import pixels_of, save_picture
 from display.protocol import Display, Frame
-from display.timing import run_stats, start_progress, write_stats
+from display.timing import run_stats, start_progress
 from display.user_commands import AddBody, CancelOpening, Command, Measure, OpeningCommand, OpenScene, Rescale, SwapRoom
 from scenes.registry import label
 
@@ -120,7 +121,7 @@ class Session:
             write_state(options.save_state, state_of(world, self.keeper.about))
         if options.stats:
             web = {} if options.web is None else {"web": self.display.stats()}
-            write_stats(options.stats, run_stats(world, self._count) | web)
+            write_json(options.stats, run_stats(world, self._count) | web)
         if options.snapshot and not options.headless:
             save_picture(options.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
         if options.headless:

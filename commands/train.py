@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from assets.file_access import atomic_write, check_writable
+from assets.file_access import atomic_write, check_writable, write_json
 from assets.splat_files import kind_to_write, write_gaussians
 from commands import options as cli
 from core.errors import BadInput
@@ -412,8 +411,7 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
     objects  (colours of the masks (K, 3) uint8, ids of the Gaussians): also shows masks beside the Gaussians' objects
     """
     said = _perceptual(numbers, trainer, test)
-    with atomic_write(path) as beside:
-        beside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    write_json(path, numbers)
     sections = []
     for k in np.linspace(0, len(test) - 1, min(TEST_PICTURES, len(test))).round().astype(int):
         q, drawn = qualities[k], trainer.picture(test[k].camera)

@@ -7,15 +7,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
-from pathlib import Path
 from time import perf_counter
 from typing import TextIO
 
 import numpy as np
 
-from assets.file_access import atomic_write
 from core.runtime import watch_compilation
-from core.typed import to_json
 
 HISTORY_LENGTH = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
 RECENT_SAMPLES = 60  # samples behind the panel's numbers: steady, and still current
@@ -167,12 +164,6 @@ def run_stats(world, frames: int) -> dict:
         **light,
         "peak_memory_mb": peak_memory_mb(),
     }
-
-
-def write_stats(path: str | Path, stats: dict | list[dict]) -> None:
-    """Write JSON, whole or not at all; NaN becomes null. Raises BadInput."""
-    with atomic_write(path) as beside:
-        beside.write_text(to_json(stats, indent=2) + "\n", encoding="utf-8")
 
 
 def peak_memory_mb() -> float:

@@ -102,9 +102,9 @@ def main() -> int:
             flush=True,
         )
     if args.json:
-        from display.timing import write_stats
+        from assets.file_access import write_json
 
-        write_stats(args.json, rows)
+        write_json(args.json, rows)
     return int(any(row["difference"] > AGREE for row in rows))
 
 

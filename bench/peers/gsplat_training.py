@@ -283,9 +283,9 @@ def main() -> int:
             rows += train(path, args, torch.device(args.device))
             print_rows(rows)
             if args.json:
-                from display.timing import write_stats
+                from assets.file_access import write_json
 
-                write_stats(args.json, rows)
+                write_json(args.json, rows)
     except BadInput as e:
         print(e, file=sys.stderr)
         return 2

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from assets.file_access import atomic_write, make_folder, reason_of
+from assets.file_access import make_folder, reason_of, write_json
 from core.errors import BadInput
 
 ABOUT = "stage.json"
@@ -130,8 +130,7 @@ def file_sizes(folder: Path) -> dict[str, int]:
 def write_about(folder: Path, about: dict) -> None:
     """Write a stage's stage.json: else the one before stays, without which what a cut stage has made is lost. Raises
     BadInput."""
-    with atomic_write(folder / ABOUT) as beside:
-        beside.write_text(json.dumps(about), encoding="utf-8")
+    write_json(folder / ABOUT, about)
 
 
 def remove(folder: Path) -> None:

@@ -6,7 +6,6 @@ A file of marks on a splat also holds the cameras of its pictures:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Annotated
 import numpy as np
 
 from assets.camera_file import parse_camera
-from assets.file_access import atomic_write, read_json
+from assets.file_access import read_json, write_json
 from core.camera import Camera
 from core.errors import BadInput
 from core.typed import Range, Shape, from_plain, to_plain
@@ -109,12 +108,7 @@ def check_view(marks: ViewMarks, size: tuple[int, int], where: str) -> None:
 
 def write_marks(path: str | Path, marks: Marks) -> None:
     """Write marks as JSON. Raises BadInput."""
-    _write(path, {"objects": marks_json(marks)})
-
-
-def _write(path: str | Path, data: dict) -> None:
-    with atomic_write(path) as beside:
-        beside.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_json(path, {"objects": marks_json(marks)})
 
 
 def marks_json(marks: Marks) -> dict:
@@ -188,4 +182,4 @@ def write_splat_marks(path: str | Path, marks: SplatMarks) -> None:
     """Write marks and cameras as JSON. Raises BadInput."""
     cameras = {name: to_plain(camera) for name, camera in marks.cameras.items()}
     grow = {name: rings for name, rings in marks.grow.items() if rings}
-    _write(path, {"views": cameras, "objects": marks_json(marks.marks), "grow": grow})
+    write_json(path, {"views": cameras, "objects": marks_json(marks.marks), "grow": grow})

@@ -11,13 +11,14 @@ import cv2
 import numpy as np
 import pytest
 
+from assets.file_access import write_json
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from display.headless.headless import Progress
 from display.panel import frame_lines
 from display.picture import fit, pixels_of, save_picture, side_by_side
 from display.protocol import Frame
-from display.timing import Timings, peak_memory_mb, run_stats, write_stats
+from display.timing import Timings, peak_memory_mb, run_stats
 from tests.support.fake_world import FakeWorld, fake_scene
 
 WIDTH, HEIGHT = 320, 180
@@ -144,7 +145,7 @@ def test_stats_are_written_whole_and_as_strict_json(tmp_path, ti_cpu):
         world.step(Frame(1 / 60, index / 60, [camera]))
         world.timings.frame()
     path = tmp_path / "stats.json"
-    write_stats(path, run_stats(world, 3) | {"odd": np.float32("nan"), "many": np.arange(2), "flag": np.bool_(True)})
+    write_json(path, run_stats(world, 3) | {"odd": np.float32("nan"), "many": np.arange(2), "flag": np.bool_(True)})
     stats = json.loads(path.read_text())
     promised = "frames fps stages gaussians vertices tets substeps dt score finite peak_memory_mb"
     promised += " missed_frames worst_frame_ms dropped_seconds"
@@ -157,7 +158,7 @@ def test_stats_are_written_whole_and_as_strict_json(tmp_path, ti_cpu):
 
 def test_stats_that_cannot_be_written_are_bad_input(tmp_path):
     with pytest.raises(BadInput, match="does not exist"):
-        write_stats(tmp_path / "nowhere" / "stats.json", {})
+        write_json(tmp_path / "nowhere" / "stats.json", {})
 
 
 def test_peak_memory_grows_with_what_is_held():

@@ -214,9 +214,9 @@ def picture_version(path: Path) -> int:
 
 def write_numbers(folder: Path, k: int) -> None:
     """Statistics."""
-    from display.timing import write_stats
+    from assets.file_access import write_json
 
-    write_stats(folder / "stats.json", {"version": k, "more": list(range(3000))})
+    write_json(folder / "stats.json", {"version": k, "more": list(range(3000))})
 
 
 def numbers_version(path: Path) -> int:

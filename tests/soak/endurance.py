@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, write_json
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.vocabulary import Hand, Light
 from display import user_commands
 from display.protocol import Frame
-from display.timing import write_stats
 from display.user_commands import Command
 
 if TYPE_CHECKING:
@@ -239,7 +238,7 @@ def main() -> int:
         play(make, player, 60 * args.minutes, note, args.switch)
         found = summary(notes)
         if args.json:
-            write_stats(args.json, found | {"commands": player.done, "notes": [vars(n) for n in notes]})
+            write_json(args.json, found | {"commands": player.done, "notes": [vars(n) for n in notes]})
     except BadInput as e:
         print(f"vrgs: {e}", file=sys.stderr)
         return 2

@@ -199,8 +199,6 @@ def load_scene(options: PlayOptions, replay: Replay | None) -> Scene:
     if not scene.cast:
         return scene
     files = dict(zip([*bodies, stage], [*(options.body or ()), options.stage], strict=True))
-    if room := options.options.get("capture"):
-        files[str(Path(room) / read_room(room).background)] = room
     cast = tuple((Path(files[asset]).name, role) for asset, role in scene.cast)
     print("; ".join(f"{file} is {role}" for file, role in cast), flush=True)
     return replace(scene, cast=cast)

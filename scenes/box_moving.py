@@ -1,16 +1,10 @@
-"""Box moving: carry the attic's boxes to the pallet, and see what the biggest one hid (VR-GS, Sec. 6.2).
-
-With --capture ROOM/ it plays on the floor of a captured room that has space for it.
-"""
+"""Box moving: carry the attic's boxes to the pallet, and see what the biggest one hid (VR-GS, Sec. 6.2)."""
 
 from __future__ import annotations
-
-from typing import Annotated
 
 import numpy as np
 
 from core.material import Material
-from scenes.captured_room import in_captured_room
 from scenes.scene import Body, BodyState, Box, Capsule, Hand, Light, Plane, Quat, Role, Room, Scene
 from scenes.scripted_hands import ease
 
@@ -165,10 +159,9 @@ def pallet_collider() -> Box:
     return Box((x, h / 2, z), (w / 2, h / 2, d / 2), friction=0.6)
 
 
-def build(capture: Annotated[str | None, "folder of a captured room"] = None) -> Scene:
-    """The scene in the attic, or in a captured room: `capture` is its folder."""
+def build() -> Scene:
     attic = room_colliders()
-    scene = Scene(
+    return Scene(
         bodies=[Body("attic"), Body("pallet", position=PALLET[0]), *boxes()],
         colliders=[*attic, pallet_collider()],
         light=Light(position=(0.42, 1.66, 0.34), target=(0.3, 0.2, -0.4)),  # the bulb
@@ -187,4 +180,3 @@ def build(capture: Annotated[str | None, "folder of a captured room"] = None) ->
             game=BoxMoving(hole=False),
         ),
     )
-    return scene if capture is None else in_captured_room(scene, capture)

@@ -14,7 +14,6 @@ from assets.environment import Environment
 from assets.library import default_material
 from assets.room_folder import RoomObject, read_room
 from core.rotation import matrices_from_quaternions
-from scenes.roles import in_room
 from scenes.scene import Body, BodyState, Hand, Light, Plane, Role, Scene, Vec3
 from scenes.scripted_hands import ease
 
@@ -104,11 +103,6 @@ def room_scene(folder: str) -> Scene:
         game=CapturedRoom(shown, room.floor),
         roles=(Role("object", tuple(b.asset for b in objects), resize=bool(room.objects)),),
     )
-
-
-def in_captured_room(scene: Scene, folder: str) -> Scene:
-    """Another scene in a captured room, without the objects of the room. Raises BadInput."""
-    return in_room(scene, str(Path(folder) / read_room(folder).background))
 
 
 def object_body(folder: Path, thing: RoomObject) -> Body:

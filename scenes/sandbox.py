@@ -54,9 +54,10 @@ class Sandbox:
             grasp = 0.5 * (body.low + body.high)
             grasp[1] += 0.3 * (body.high[1] - body.low[1])
             release, target = grasp + [0.0, 0.45, 0.0], tuple(np.add(self.target, [0.0, 0.2, 0.0]))
-            times = {"acceleration_time": 0.12, "flight_time": 0.4}
             reach = max(0.06, 0.45 * float((body.high - body.low).max()))  # beyond the rim of a ring's hole
-            self.throw = Throw(tuple(grasp), tuple(release), target, grab_radius=reach, **times)
+            self.throw = Throw(
+                tuple(grasp), tuple(release), target, grab_radius=reach, acceleration_time=0.12, flight_time=0.4
+            )
             self.throw_start = time
 
     def throw_at_dancer(self, body: BodyState, ring: BodyState) -> Throw:
@@ -66,8 +67,16 @@ class Sandbox:
         release = (middle[0] + 0.25 * h, body.low[1] + 0.9 * h, body.high[2] + 0.7 * h)
         chest = (middle[0], body.low[1] + 0.65 * h, middle[2])
         size = float(np.ptp([ring.low, ring.high], axis=0).max())
-        times = {"approach_time": 0.3, "lift_time": 0.5, "acceleration_time": 0.15, "flight_time": 0.25 * np.sqrt(h)}
-        return Throw(tuple(ring.centroid), release, chest, grab_radius=0.7 * size, **times)
+        return Throw(
+            tuple(ring.centroid),
+            release,
+            chest,
+            grab_radius=0.7 * size,
+            approach_time=0.3,
+            lift_time=0.5,
+            acceleration_time=0.15,
+            flight_time=0.25 * np.sqrt(h),
+        )
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         return [self.throw.hand(time - self.throw_start)] if self.throw else []

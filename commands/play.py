@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from assets.file_access import check_writable
-from assets.room_folder import read_room
 from commands import options as cli
 from commands.prepared import is_asset, prepared_bodies, prepared_capture, prepared_stage
 from core.errors import BadInput
@@ -342,6 +341,8 @@ def open_display(
         print(f"no display: the scripted hand plays; writing {files} (--web: play in a browser)", file=sys.stderr)
     from display.headless.headless import Headless
 
+    if options.snapshot:
+        check_writable(options.snapshot)
     frames = options.frames or max(1, round(FPS * ((scene.game.duration if scene.game else SECONDS) - begin)))
     frames = min(options.frames or len(replay), len(replay)) if replay else frames
     width, height = options.size or SIZE
@@ -351,18 +352,15 @@ def open_display(
         height=height,
         frames=frames,
         views=2 if options.stereo else 1,
-        every=2,
         scripted=replay is None,
-        record=None if replay else options.record,
-        snapshot=options.snapshot,
     )
 
 
 def open_film(options: PlayOptions, display: Display):
-    """The film of a window, a headset or a replay, or a context of None; a headless play, in which all frames are
-    equally long, films itself."""
-    if (options.headless and not options.replay) or not options.record:
+    """The film of the play, or a context of None."""
+    if not options.record:
         return contextlib.nullcontext()
     from display.headless.video import FilmWriter
 
-    return contextlib.closing(FilmWriter(options.record, *display.size, views=2 if options.stereo else 1))
+    seconds = display.count / FPS if options.headless and not options.replay else 0.0
+    return FilmWriter(options.record, *display.size, views=2 if options.stereo else 1, seconds=seconds)

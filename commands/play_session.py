@@ -17,7 +17,7 @@ from commands.opening import Opening
 from core.errors import BadInput, Cancelled
 from core.measured_length import scale_between
 from core.runtime import end_taichi, is_out_of_memory, start_taichi
-from display.picture import pixels_of, save_picture
+from display.picture import pixels_of, save_picture, side_by_side
 from display.protocol import Display, Frame
 from display.timing import run_stats, start_progress
 from display.user_commands import AddBody, CancelOpening, Command, Measure, OpeningCommand, OpenScene, Rescale, SwapRoom
@@ -122,8 +122,10 @@ class Session:
         if options.stats:
             web = {} if options.web is None else {"web": self.display.stats()}
             write_json(options.stats, run_stats(world, self._count) | web)
-        if options.snapshot and not options.headless:
-            save_picture(options.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
+        if options.snapshot:
+            views = 2 if options.stereo else 1  # of a headset's the left one
+            pixels = pixels_of(world.picture)[: views * world.picture_size[1]]
+            save_picture(options.snapshot, side_by_side(pixels, views))
         if options.headless:
             print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
 

@@ -17,7 +17,7 @@ from assets.camera_file import read_cameras
 from assets.file_access import atomic_write, check_writable
 from assets.splat_files import kind_to_write, read_gaussians
 from commands import options as cli
-from core.camera import Camera
+from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.runtime import start_taichi
 from display.picture import pixels_of, save_picture
@@ -180,6 +180,7 @@ class ViewOptions(cli.Options):
 
 def view(options: ViewOptions) -> None:
     """Show the files in a window, or write the snapshot. Raises BadInput."""
+    from display.picture import pixels_of, save_picture
     from display.viewed_file import ViewedFile, scene_around
     from display.viewer import Viewer
     from display.window.gl_window import has_display
@@ -197,26 +198,26 @@ def view(options: ViewOptions) -> None:
     for file in files:
         g = file.gaussians
         print(f"{file.path}: {len(g)} Gaussians, SH degree {g.sh_degree}, {file.note}", file=sys.stderr)
-    name = options.files[0].name if len(files) == 1 else f"{len(files)} files"
     if options.snapshot is not None:
-        from display.headless.headless import Headless
-
-        display = Headless(scene, width=width, height=height, frames=1, snapshot=options.snapshot)
-    else:
-        from display.preferences import Preferences
-        from display.window.window import Window
-
-        width, height = options.size or (None, None)
-        display = Window(
-            scene,
-            title=name,
-            width=width,
-            height=height,
-            preferences=Preferences.of_user(),
-            name=options.files[0].name,
-        )
+        check_writable(options.snapshot)
+        start_taichi(options.arch)
+        viewer = Viewer(files, scene, width=width, height=height, sort=options.sort)
+        viewer.draw([perspective(width, height, scene.fov_y, look_at(scene.eye, scene.target))])
+        save_picture(options.snapshot, pixels_of(viewer.picture))
+        return
     from display.keep.keeper import Keeper
+    from display.preferences import Preferences
+    from display.window.window import Window
 
+    width, height = options.size or (None, None)
+    display = Window(
+        scene,
+        title=options.files[0].name if len(files) == 1 else f"{len(files)} files",
+        width=width,
+        height=height,
+        preferences=Preferences.of_user(),
+        name=options.files[0].name,
+    )
     with display, Keeper(str(options.files[0])) as keeper:
         start_taichi(options.arch)
         width, height = display.size

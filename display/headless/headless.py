@@ -1,17 +1,14 @@
-"""The display without a screen: a fixed number of frames, written as a video and a picture; progress on stderr."""
+"""The display without a screen: a fixed number of frames, with progress on stderr."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from time import perf_counter
 
-from assets.file_access import check_writable
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
-from display.picture import check_picture_name, pixels_of, save_picture, side_by_side
 from display.protocol import Frame, WorldView
 from scenes.scene import Scene
 
@@ -21,45 +18,17 @@ PROGRESS_FRAMES = 120  # shorter runs show no progress
 
 
 class Headless:
-    """A display: `for frame in headless.frames(world): world.step(frame); headless.present(world)`.
+    """A display of `count` frames of 1/60 s from the scene's camera.
 
-    Yields `frames` frames of 1/60 s from the scene's camera, in which the world's scripted hand plays if `scripted`.
-    `record` is an MP4 with every `every`-th frame, in real time; `snapshot` a picture of frame `snapshot_frame`,
-    counted from 0 (default: the last). With `views=2` the pictures are stereo pairs, written side by side. Raises
-    BadInput before the first frame if a file cannot be written.
+    views     2: pictures are stereo pairs
+    scripted  whether the world's scripted hand plays
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        width: int,
-        height: int,
-        frames: int,
-        record: str | Path | None = None,
-        snapshot: str | Path | None = None,
-        snapshot_frame: int | None = None,
-        views: int = 1,
-        every: int = 1,
-        scripted: bool = True,
-    ):
+    def __init__(self, scene: Scene, *, width: int, height: int, frames: int, views: int = 1, scripted: bool = True):
         if frames < 1:
             raise BadInput(f"cannot run {frames} frames: at least one is needed")
         self.size, self.views, self.count, self._scripted = (width, height), views, frames, scripted
         self.show_scene(scene, "", "")
-        self.snapshot = Path(snapshot) if snapshot else None
-        self.snapshot_frame = frames - 1 if snapshot_frame is None else snapshot_frame
-        if not 0 <= self.snapshot_frame < frames:
-            raise BadInput(f"no frame {self.snapshot_frame} to take a picture of: there are {frames}")
-        if self.snapshot:
-            check_picture_name(self.snapshot)
-            check_writable(self.snapshot)
-        self._every, self._video, self._index = every, None, 0
-        if record:
-            from display.headless.video import Video
-
-            planned = -(-frames // every)
-            self._video = Video(record, views * width, height, fps=1 / FRAME_DT / every, frames=planned)
 
     def __enter__(self) -> Headless:
         return self
@@ -68,15 +37,13 @@ class Headless:
         self.close()
 
     def close(self) -> None:
-        """Drop an unfinished video. Further calls do nothing."""
-        if self._video is not None:
-            self._video.discard()
+        """Do nothing: there is no screen to give back."""
 
     def loading(self, text: str, picture=None) -> None:
         """Do nothing: the terminal shows the progress."""
 
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
-        """Film another scene with its own camera."""
+        """Look at another scene from its own camera."""
         self._fov_y = scene.fov_y
         self._look(scene.eye, scene.target)
 
@@ -85,34 +52,21 @@ class Headless:
         self.cameras = [camera] if self.views == 1 else stereo_pair(camera)
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
-        """The frames, then finish the video. A loop that breaks off leaves none."""
-        progress, first = Progress(self.count), round(world.time / FRAME_DT)  # of a state, in which time has passed
+        """The frames. The world may have begun with a state, in which time has passed."""
+        progress, begin = Progress(self.count), round(world.time / FRAME_DT)
         if world.wanted_view is not None:
             self._look(*world.wanted_view)
         try:
-            for index in range(self.count):
-                self._index, time = index, (first + index + 1) * FRAME_DT
-                hands = world.scripted_hands(time) if self._scripted else []
-                yield Frame(FRAME_DT, time, self.cameras, hands)
-                progress.show(index + 1)
-            if self._video is not None:
-                self._video.close()
+            for index in range(1, self.count + 1):
+                hands = world.scripted_hands((begin + index) * FRAME_DT) if self._scripted else []
+                yield Frame(FRAME_DT, index * FRAME_DT, self.cameras, hands)
+                progress.show(index)
         finally:
             progress.end()
-            self.close()
 
     def present(self, world: WorldView) -> None:
-        """Write the world's picture to the video and the snapshot."""
-        filmed = self._video is not None and self._index % self._every == 0
-        kept = self.snapshot is not None and self._index == self.snapshot_frame
-        if filmed or kept:
-            with world.timings.stage("write"):
-                pixels = side_by_side(pixels_of(world.picture), self.views)
-                if filmed:
-                    self._video.write(pixels)
-                if kept:
-                    save_picture(self.snapshot, pixels)
-        world.timings.exact = True  # from the second frame on; the first compiles
+        """Mark the end of the frame, from the second on as the device ends it: the first compiles."""
+        world.timings.exact = True
         world.timings.frame()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from display.picture import pixels_of, side_by_side
 
 CODECS = ("avc1", "mp4v")  # H.264 where OpenCV was built with an encoder for it, else MPEG-4 part 2
 FILM_FPS = 30.0  # [1/s]
+TIME_SLACK = 0.01  # of a picture: rounding of a time adds none
 BYTES_PER_PIXEL = 0.05  # of a busy picture; measured 0.02 on noise and waves that move
 CHECK_PERIOD = 1.0  # [s] between two looks at how full the disk is: a failed write of a film is not reported
 FILM_RESERVE = 32e6  # [bytes]; a film ends while its last pictures and its index can still be written
@@ -95,13 +97,16 @@ class Video:
 
 
 class FilmWriter:
-    """Film of a display of any frame rate and size: an MP4 at FILM_FPS of pictures of `width` x `height` [px], of
-    which the first `views` stand side by side, complete after `close`. Raises BadInput."""
+    """Film of a display of any frame rate and size: an MP4 at FILM_FPS, complete after `close`. Raises BadInput.
 
-    def __init__(self, path: str | Path, width: int, height: int, *, views: int = 1):
-        self.path, self.size, self._views = Path(path), (views * width, height), views
+    width, height  of a view [px];   views  that stand side by side
+    seconds        planned length [s]: such a film is dropped if the play breaks off; 0: as long as the play
+    """
+
+    def __init__(self, path: str | Path, width: int, height: int, *, views: int = 1, seconds: float = 0.0):
+        self.path, self.size, self._views, self._seconds = Path(path), (views * width, height), views, seconds
         self.ended = ""  # the reason, if it has ended before it was closed
-        self._video = Video(path, *self.size, fps=FILM_FPS)
+        self._video = Video(path, *self.size, fps=FILM_FPS, frames=math.ceil(seconds * FILM_FPS))
         self._checked = 0.0  # [s], time of the last look at the disk
 
     def add(self, world, time: float) -> None:
@@ -109,7 +114,8 @@ class FilmWriter:
 
         The film ends when the disk is nearly full, so that it can be completed; a notice and a line say so.
         """
-        if self.ended or self._video.count >= time * FILM_FPS:
+        due = time * FILM_FPS - TIME_SLACK
+        if self.ended or self._video.count >= due:
             return
         if time - self._checked >= CHECK_PERIOD:
             self._checked = time
@@ -126,12 +132,20 @@ class FilmWriter:
             import cv2
 
             pixels = cv2.resize(pixels, self.size, interpolation=cv2.INTER_AREA)
-        while self._video.count < time * FILM_FPS:
+        while self._video.count < due:
             self._video.write(pixels)
 
     def close(self) -> None:
         """Finish the film."""
         self._video.close()
+
+    def __enter__(self) -> FilmWriter:
+        return self
+
+    def __exit__(self, error: type | None, *_) -> None:
+        if error is not None and self._seconds:
+            self._video.discard()
+        self.close()
 
 
 def frame_count(path: Path) -> int:

@@ -1,5 +1,6 @@
 """The display without a screen, and the video and picture it leaves behind."""
 
+import contextlib
 import shutil
 import subprocess
 import sys
@@ -10,37 +11,35 @@ import numpy as np
 import pytest
 
 from assets import file_access
+from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.vocabulary import Hand
 from display.headless.headless import EYE_DISTANCE, Headless
-from display.headless.video import Video
-from display.picture import pixels_of
+from display.headless.video import FilmWriter, Video
+from display.picture import pixels_of, side_by_side
+from display.protocol import Frame
 from tests.support.fake_world import FakeWorld, fake_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT = 320, 180
 
 
-def play(
-    frames: int,
-    *,
-    stop_after: int | None = None,
-    width: int = WIDTH,
-    height: int = HEIGHT,
-    hands=lambda time: [],
-    **options,
-):
-    """Run the ball's world on a headless display. Returns display, world, frames and pictures."""
-    display = Headless(fake_scene(), width=width, height=height, frames=frames, **options)
-    world = FakeWorld(fake_scene(), width=width, height=height, views=display.views, hands=hands)
+def play(frames: int, *, film: Path | None = None, width=WIDTH, height=HEIGHT, views=1, stop_after=0, hands=None):
+    """Run the ball's world on a headless display, and film it. Returns display, world, frames and pictures."""
+    display = Headless(fake_scene(), width=width, height=height, frames=frames, views=views)
+    world = FakeWorld(fake_scene(), width=width, height=height, views=views, hands=hands or (lambda time: []))
     seen, pictures = [], []
-    for frame in display.frames(world):
-        world.step(frame)
-        pictures.append(pixels_of(world.picture)[..., :3].copy())
-        display.present(world)
-        seen.append(frame)
-        if len(seen) == stop_after:
-            break
+    with contextlib.ExitStack() as stack:
+        writer = film and stack.enter_context(FilmWriter(film, width, height, views=views, seconds=frames / 60))
+        for frame in display.frames(world):
+            world.step(frame)
+            pictures.append(pixels_of(world.picture)[..., :3].copy())
+            display.present(world)
+            seen.append(frame)
+            if writer:
+                writer.add(world, frame.time)
+            if len(seen) == stop_after:
+                raise KeyboardInterrupt
     return display, world, seen, pictures
 
 
@@ -74,87 +73,77 @@ def test_frames_come_in_the_promised_number_at_sixty_a_second(ti_cpu):
     assert len(cameras) == 1 and frames[0].cameras[0].position.tolist() == [0, 0, 3]
 
 
-def test_the_video_plays_and_shows_the_pictures(ti_cpu, tmp_path):
+def test_the_film_plays_and_shows_every_second_picture(ti_cpu, tmp_path):
     path = tmp_path / "ball.mp4"
-    _, _, _, pictures = play(40, record=path, hands=swipe)
+    _, _, _, pictures = play(40, film=path, hands=swipe)
     seen = decode(path)
-    assert len(seen) == 40
-    capture = cv2.VideoCapture(str(path))
-    assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(60)
-    for k in (0, 12, 39):
-        assert psnr(seen[k], pictures[k]) > 30, k  # a lossy codec on a smooth picture
-    assert psnr(seen[39], pictures[0]) < 25  # the ball has moved
+    assert len(seen) == 20
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FPS) == pytest.approx(30)
+    for k in (0, 6, 19):
+        assert psnr(seen[k], pictures[2 * k]) > 30, k  # a lossy codec on a smooth picture
+    assert psnr(seen[19], pictures[0]) < 25  # the ball has moved
     assert [p.name for p in tmp_path.iterdir()] == ["ball.mp4"]
+
+
+def test_times_that_are_rounded_up_add_no_picture(ti_cpu, tmp_path):
+    """(k / 60) * 30 is larger than k / 2 for some k, such as 250."""
+    world = FakeWorld(fake_scene(), width=16, height=16)
+    world.step(Frame(1 / 60, 0.0, [perspective(16, 16, 0.9, look_at((0, 0, 3), (0, 0, 0)))]))
+    with FilmWriter(tmp_path / "a.mp4", 16, 16) as film:
+        for k in range(1, 501):
+            film.add(world, k * (1 / 60))
+    assert len(decode(tmp_path / "a.mp4")) == 250
 
 
 def test_odd_sizes_gain_a_row_and_a_column(ti_cpu, tmp_path):
     path = tmp_path / "odd.mp4"
-    _, _, _, pictures = play(3, record=path, width=161, height=91)
+    _, _, _, pictures = play(3, film=path, width=161, height=91)
     seen = decode(path)
     assert seen[0].shape == (92, 162, 3)
     assert psnr(seen[0][:91, :161], pictures[0]) > 30
 
 
-def test_the_snapshot_is_the_last_picture_or_a_chosen_one(ti_cpu, tmp_path):
-    for chosen, index in ((None, 9), (4, 4)):
-        path = tmp_path / f"{index}.png"
-        _, _, _, pictures = play(10, snapshot=path, snapshot_frame=chosen, hands=swipe)
-        assert (cv2.imread(str(path))[..., ::-1] == pictures[index]).all()
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["4.png", "9.png"]
-
-
 def test_two_views_are_two_eyes_side_by_side(ti_cpu, tmp_path):
-    display, _, frames, _ = play(2, views=2, snapshot=tmp_path / "pair.png", record=tmp_path / "pair.mp4")
+    _, world, frames, _ = play(2, views=2, film=tmp_path / "pair.mp4")
     left, right = frames[0].cameras
     assert np.allclose(right.position - left.position, (EYE_DISTANCE, 0, 0))
     assert np.allclose((left.position + right.position) / 2, (0, 0, 3))
-    image = cv2.imread(str(tmp_path / "pair.png"))[..., ::-1].astype(int)
-    assert image.shape == (HEIGHT, 2 * WIDTH, 3) == (*decode(tmp_path / "pair.mp4")[0].shape[:2], 3)
+    image = side_by_side(pixels_of(world.picture)[..., :3], 2).astype(int)
+    assert image.shape == (HEIGHT, 2 * WIDTH, 3) == decode(tmp_path / "pair.mp4")[0].shape
     red = image[..., 0] > 2 * image[..., 1]
     columns = [np.nonzero(half.any(0))[0].mean() for half in (red[:, :WIDTH], red[:, WIDTH:])]
     disparity = left.fx * EYE_DISTANCE / 3.0
     assert columns[0] - columns[1] == pytest.approx(disparity, abs=1.0)  # nearer things lie further right on the left
-    assert display.views == 2
 
 
-def test_a_run_that_breaks_off_leaves_no_file(ti_cpu, tmp_path):
-    play(20, record=tmp_path / "a.mp4", snapshot=tmp_path / "a.png", stop_after=5)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_older_video_survives_a_run_that_fails(ti_cpu, tmp_path):
-    path = tmp_path / "a.mp4"
-    path.write_bytes(b"precious")
-    with Headless(fake_scene(), width=WIDTH, height=HEIGHT, frames=5, record=path) as display:
-        next(display.frames(FakeWorld(fake_scene(), width=WIDTH, height=HEIGHT)))
-    assert path.read_bytes() == b"precious" and len(list(tmp_path.iterdir())) == 1
+def test_a_play_that_breaks_off_leaves_no_film_and_an_older_one_as_it_was(ti_cpu, tmp_path):
+    (tmp_path / "a.mp4").write_bytes(b"precious")
+    for name in ("a.mp4", "b.mp4"):
+        with pytest.raises(KeyboardInterrupt):
+            play(20, film=tmp_path / name, stop_after=5)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"] and (tmp_path / "a.mp4").read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize(
-    "options, message",
-    [
-        ({"record": "nowhere/a.mp4"}, "cannot write here"),
-        ({"snapshot": "nowhere/a.png"}, "cannot write here"),
-        ({"record": "a.avi"}, "must end in .mp4"),
-        ({"record": "folder.mp4"}, "is a folder"),
-        ({"frames": 0}, "at least one"),
-        ({"snapshot": "a.png", "snapshot_frame": 5}, "no frame 5"),
-    ],
+    "name, message",
+    [("nowhere/a.mp4", "cannot write here"), ("a.avi", "must end in .mp4"), ("folder.mp4", "is a folder")],
 )
-def test_bad_places_are_refused_before_the_first_frame(tmp_path, monkeypatch, options, message):
+def test_bad_places_are_refused_before_the_first_frame(tmp_path, monkeypatch, name, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.mp4").mkdir()
     with pytest.raises(BadInput, match=message) as error:
-        Headless(fake_scene(), **({"width": WIDTH, "height": HEIGHT, "frames": 5} | options))
+        FilmWriter(name, WIDTH, HEIGHT)
     assert "\n" not in str(error.value)
     assert [p.name for p in tmp_path.iterdir()] == ["folder.mp4"]
+    with pytest.raises(BadInput, match="at least one"):
+        Headless(fake_scene(), width=WIDTH, height=HEIGHT, frames=0)
 
 
 def test_a_full_disk_is_noticed_before_the_first_frame(tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(file_access.shutil, "disk_usage", lambda path: usage._replace(free=1_000_000))
     with pytest.raises(BadInput, match="the disk has 1 MB left, about 52 MB are needed"):
-        Headless(fake_scene(), width=1920, height=1080, frames=500, record=tmp_path / "a.mp4")
+        FilmWriter(tmp_path / "a.mp4", 1920, 1080, seconds=500 / 30)
     assert list(tmp_path.iterdir()) == []
 
 

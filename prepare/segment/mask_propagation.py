@@ -217,15 +217,20 @@ class MarkPropagation:
         votes = np.eye(labels)[own[y, x]]
         away = [np.linalg.norm(c.position - camera.position) for c in self.cameras]
         for j in np.argsort(away)[1 : VOTERS + 1]:
-            u, v, z = self.cameras[j].projected(points)
-            height, width = self.depths[j].shape
-            there = np.flatnonzero((z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height))
-            row, column = v[there].astype(int), u[there].astype(int)
-            near = np.abs(self.depths[j][row, column] - z[there]) < DEPTH_TOLERANCE * z[there]
-            votes[there[near], ids[j][row[near], column[near]]] += 1.0
+            seen, row, column = self._visible(j, points)
+            votes[seen, ids[j][row, column]] += 1.0
         likely = np.eye(labels)[own]
         likely[y, x] = votes / votes.sum(axis=1, keepdims=True)
         return likely
+
+    def _visible(self, k: int, points: np.ndarray, slack: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Indices of the points (N, 3) that view `k` shows, and the rows and columns of its pixels there."""
+        x, y, z = self.cameras[k].projected(points)
+        height, width = self.depths[k].shape
+        there = np.flatnonzero((z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height))
+        row, column = y[there].astype(int), x[there].astype(int)
+        seen = np.abs(self.depths[k][row, column] - z[there]) < DEPTH_TOLERANCE * z[there] + slack
+        return there[seen], row[seen], column[seen]
 
     def masks(self, report: Progress = no_progress) -> Masks:
         """The masks of all views, in the photographs' own size and lens. Raises BadInput if an object is in none."""
@@ -325,13 +330,9 @@ class MarkPropagation:
     def _apply_boxes(self) -> None:
         """Remove an object from all surfaces that a view with a box of it shows outside the box."""
         for k, boxes in self._forbidden.items():
-            x, y, z = self.cameras[k].projected(self.cloud.points)
-            height, width = self.depths[k].shape
-            there = np.flatnonzero((z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height))
-            row, column = y[there].astype(int), x[there].astype(int)
-            seen = np.abs(self.depths[k][row, column] - z[there]) < DEPTH_TOLERANCE * z[there] + self.cloud.spacing
+            seen, row, column = self._visible(k, self.cloud.points, self.cloud.spacing)
             for label, outside in boxes.items():
-                gone = there[seen & outside[row, column]]
+                gone = seen[outside[row, column]]
                 self.labels[gone, 0] += self.labels[gone, label]
                 self.labels[gone, label] = 0.0
 

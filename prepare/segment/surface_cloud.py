@@ -44,22 +44,14 @@ PLANE_STEPS = 1.0  # spacings of the cloud: a nearer point lies on the plane
 
 def depths_of_splats(gaussians: Gaussians, cameras: list[Camera], report: Progress = no_progress) -> list[np.ndarray]:
     """Depths along the axis (H, W) float32 of each view, 0 where there is nothing. Taichi must be running."""
-    from render.renderer import Renderer
-    from render.splats import Splats
+    from prepare.blending_weights import BlendingWeights
 
-    splats, renderers, depths = Splats(gaussians), {}, []
+    drawing, depths = BlendingWeights(gaussians, cameras), []
     for k, camera in enumerate(cameras):
-        size = (camera.width, camera.height)
-        if size not in renderers:
-            renderers[size] = Renderer(splats, *size, outputs="float")
-        renderer = renderers[size]
-        renderer.render([camera])
-        alpha, depth = renderer.alpha.to_numpy()[0], renderer.depth.to_numpy()[0]
+        _, depth, alpha = drawing.picture(camera)
         depths.append(np.where(alpha >= ALPHA_MIN, depth, 0.0).astype(np.float32))
         report("depths", (k + 1) / len(cameras))
-    for renderer in renderers.values():
-        renderer.destroy()
-    splats.destroy()
+    drawing.destroy()
     return depths
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from assets.file_access import check_space, reason_of
 from core.errors import BadInput
+from prepare.train.photographs import image_size
 
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp")
 VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
@@ -57,7 +58,7 @@ def find_poses(images: Path, model: Path, *, names: list[str], in_order: bool, p
 
 
 def _find_poses(pycolmap, images: Path, model: Path, names: list[str], in_order: bool, progress: Progress) -> None:
-    one_camera = len({_size(images / name) for name in names}) == 1
+    one_camera = len({image_size(images / name) for name in names}) == 1
     with tempfile.TemporaryDirectory(prefix="poses-", dir=model.parent) as work:
         database, cpu = Path(work) / "database.db", pycolmap.Device.cpu
         reading, search = pycolmap.ImageReaderOptions(), pycolmap.FeatureExtractionOptions()
@@ -86,12 +87,6 @@ def _find_poses(pycolmap, images: Path, model: Path, names: list[str], in_order:
         model.parent.mkdir(parents=True, exist_ok=True)
         done.rename(model)
         progress(f"poses: {best.num_reg_images()} of {len(names)} photographs, {best.num_points3D()} points")
-
-
-def _size(image: Path) -> tuple[int, int]:
-    from prepare.train.photographs import image_size
-
-    return image_size(image)
 
 
 def sharpest_frames(video: Path, folder: Path, count: int = FRAMES) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 
 from assets.file_access import check_writable, write_json
@@ -43,14 +44,14 @@ MEASUREMENTS = (
 )
 
 
-def run(args) -> int:
+def run(*, quick: bool, json: Path | None) -> int:
     """Run the command; returns the exit status, 1 if a row fails."""
-    if args.json:
-        check_writable(args.json)  # fail before minutes are spent
+    if json:
+        check_writable(json)  # fail before minutes are spent
     begin = perf_counter()
-    rows = list(show(measured(MEASUREMENTS, quick=args.quick)))
-    if args.json:
-        write_json(args.json, [{key: r[key] for key in KEYS} for r in rows])
+    rows = list(show(measured(MEASUREMENTS, quick=quick)))
+    if json:
+        write_json(json, [{key: r[key] for key in KEYS} for r in rows])
     failed = [r for r in rows if r["pass"] is False]
     skipped = sum(r["pass"] is None for r in rows)
     passed = len(rows) - len(failed) - skipped

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import taichi as ti
 
-from assets.file_access import check_writable, write_json
 from bench.stereo_play import RATE, StereoPlay
 from scenes import registry
 from scenes.paper_demos import PaperDemo, paper_demos, use_paper_assets, use_shipped_assets
@@ -25,25 +24,19 @@ STAGE_FRAMES = 300  # of the second play
 STAGES = ("hands", "simulate", "embed", "shadow", "render")
 
 
-def run(args) -> int:
-    """Run the command: measure each demo, print its row, write --json; 1 if a body exploded. Raises BadInput."""
-    if args.json:
-        check_writable(args.json)
-    demos = paper_demos(args.names, there=registry.names())
-    make_ready = use_shipped_assets if args.detail == "shipped" else use_paper_assets
+def run(*, names: list[str], detail: str, frames: int | None, quick: bool, size: tuple[int, int]) -> Iterator[dict]:
+    """Measure each demo; prints and yields its row. Raises BadInput."""
+    demos = paper_demos(names, there=registry.names())
+    make_ready = use_shipped_assets if detail == "shipped" else use_paper_assets
     for demo in demos:
         make_ready(demo)  # whatever is missing is said before any is measured
-    frames = args.frames or (QUICK_FRAMES if args.quick else FRAMES)
-    rows = []
+    frames = frames or (QUICK_FRAMES if quick else FRAMES)
     print(heading(), flush=True)
-    for row in measure_all(demos, make_ready, args.size, frames, first=0 if args.quick else FIRST_SECOND):
-        rows.append(row | {"detail": args.detail})
+    for row in measure_all(demos, make_ready, size, frames, first=0 if quick else FIRST_SECOND):
         print(line(row), flush=True)
-    if args.json:
-        write_json(args.json, rows)
-    for row in (r for r in rows if not r["finite"]):
-        print(f"vrgs: bench demos: not finite: {row['demo']}", file=sys.stderr)
-    return 0 if all(r["finite"] for r in rows) else 1
+        if not row["finite"]:
+            print(f"vrgs: bench demos: not finite: {row['demo']}", file=sys.stderr)
+        yield row | {"detail": detail}
 
 
 def measure_all(

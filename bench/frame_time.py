@@ -8,9 +8,10 @@ single stages wait for the device after each stage, which takes longer than the 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from assets.file_access import write_json
 from bench.stereo_play import EYE_SIZE, RATE, StereoPlay
 from display.xr.headset import NoMirror
 from display.xr.swapchains import FRAGMENT, VERTEX
@@ -20,18 +21,16 @@ FRAMES = 1000
 WARM_FRAMES = 2  # warm-up frames: kernels are compiled, and everything is in motion
 
 
-def run(args) -> None:
-    """Run the command: measure, print a table, write --json."""
-    rows = [measure(exact) for exact in (False, True)]
-    for row in rows:
+def run() -> Iterator[dict]:
+    """Measure as it runs, and stage by stage; prints and yields both rows."""
+    for row in map(measure, (False, True)):
         print("stage by stage" if row["exact"] else "as it runs")
         for name, values in row["stages"].items():
             print("  {:10} {median_ms:8.2f} ms, worst {worst_ms:8.2f}".format(name, **values))
         print("  {:10} {median_ms:8.2f} ms, worst {worst_ms:8.2f} of {frames}".format("frame", **row))
         print(f"  from motion to light {row['photon_ms']:.2f} ms and {500 / RATE:.2f} on average to the next refresh")
         print(f"  pictures go to OpenGL {'through the host' if row['through_host'] else 'on the device'}")
-    if args.json:
-        write_json(args.json, rows)
+        yield row
 
 
 def measure(exact: bool) -> dict:

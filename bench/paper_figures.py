@@ -10,6 +10,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -92,24 +93,24 @@ QUICK = Effort(
 )
 
 
-def run(args) -> None:
+def run(*, out: Path, capture: Path | None, quick: bool) -> None:
     """Run the command: make all figures, writing the page and its numbers after each. Raises BadInput."""
-    effort = QUICK if args.quick else FULL
-    make_folder(args.out)
-    page, numbers = args.out / "figures.html", args.out / "figures.json"
+    effort = QUICK if quick else FULL
+    make_folder(out)
+    page, numbers = out / "figures.html", out / "figures.json"
     for file in (page, numbers):
         check_writable(file)
     bar, plays = striped_bar(), Plays(effort.demo_seconds, effort.size)
-    results: dict = {"arch": arch(), "quick": args.quick}
+    results: dict = {"arch": arch(), "quick": quick}
     figures: list[tuple[str, Callable[[], Section]]] = [
         ("two-level and one-level embedding", lambda: embedding_section(bar, effort, results)),
         ("shadow", lambda: shadow_section(plays, results)),
         ("twist", lambda: twist_section(bar, effort, results)),
         ("solvers", lambda: solver_section(bar, effort, results)),
-        ("inpainting", lambda: inpainting_section(args.capture, results, _told, quick=args.quick)),
+        ("inpainting", lambda: inpainting_section(capture, results, _told, quick=quick)),
         ("demos", lambda: demo_section(effort.demos, plays, results, _told)),
     ]
-    how = f"{DEVICES.get(arch(), 'the CPU')}{', quickly, at small sizes' if args.quick else ''}"
+    how = f"{DEVICES.get(arch(), 'the CPU')}{', quickly, at small sizes' if quick else ''}"
     sections: list[Section] = []
     begin = perf_counter()
     for k, (what, make) in enumerate(figures):

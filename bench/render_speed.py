@@ -7,13 +7,12 @@ Medians of synchronous calls of `Renderer.render`; the head turns slightly betwe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from statistics import median
 from time import perf_counter
 
 import taichi as ti
 
-from assets.file_access import check_writable, write_json
 from bench.synthetic_room import SIZES, eyes, room
 from core.camera import Camera
 from render.renderer import Renderer
@@ -23,18 +22,13 @@ TURN = 0.002  # [rad] between two frames: 10 degrees a second at 90 Hz
 WARM_PICTURES = 5  # uncounted frames: they compile and determine the capacity
 
 
-def run(args) -> None:
-    """Run the command: measure every room, print a table, write --json."""
-    if args.json:
-        check_writable(args.json)
-    rows = []
+def run(*, gaussians: list[str], size: tuple[int, int], rounds: int) -> Iterator[dict]:
+    """Measure every room; prints and yields its row."""
     print(f"{'Gaussians':>10} {'pairs':>11} {'median ms':>10} {'worst ms':>10}", flush=True)
-    for name in args.gaussians:
-        row = measure(SIZES[name], *args.size, rounds=args.rounds)
-        rows.append(row)
+    for name in gaussians:
+        row = measure(SIZES[name], *size, rounds=rounds)
         print(f"{name:>10} {row['pairs']:11,} {row['median_ms']:10.3f} {row['worst_ms']:10.3f}", flush=True)
-    if args.json:
-        write_json(args.json, rows)
+        yield row
 
 
 def measure(count: int, width: int, height: int, *, rounds: int) -> dict:

@@ -17,7 +17,6 @@ import numpy as np
 import taichi as ti
 
 from assets.asset import Asset
-from assets.file_access import check_writable, write_json
 from bench.measured_bodies import SHAPES, body_name, stripped_body
 from bench.scene_acts import ACTS, Cast, room
 from core.errors import BadInput
@@ -43,29 +42,38 @@ class Play:
     count: int
 
 
-def run(args) -> int:
-    """Run the command: measure every row, print tables, write --json; 1 if a body exploded. Raises BadInput."""
-    if args.json:
-        check_writable(args.json)
-    sizes = [vertices_of(s) for s in args.sizes] if args.sizes else list(DEFAULT_SIZES)
-    materials = {name: Material.named(name) for name in args.materials}
-    folder = args.bodies or cache_folder() / "bench"
-    frames = args.frames or (QUICK_FRAMES if args.quick else 1000)
-    seconds = QUICK_SECONDS if args.quick else SECONDS
+def run(
+    *,
+    asset: list[str] | None,
+    sizes: list[str] | None,
+    materials: list[str],
+    acts: list[str],
+    bodies: Path | None,
+    frames: int | None,
+    quick: bool,
+) -> Iterator[dict]:
+    """Measure every row; prints and yields it, then prints a summary. Raises BadInput."""
+    wanted = [vertices_of(s) for s in sizes] if sizes else list(DEFAULT_SIZES)
     print(f"{'asset':14} {'size':>6} {'acts':18} {'material':9}" + "".join(f" {c:>10}" for c in COLUMNS), flush=True)
     rows = []
-    how = {"acts": args.acts, "quick": args.quick, "folder": folder, "frames": frames, "seconds": seconds}
-    for row in measure_all(args.asset or list(SHAPES), sizes, materials, **how):
+    for row in measure_all(
+        asset or list(SHAPES),
+        wanted,
+        {name: Material.named(name) for name in materials},
+        acts=acts,
+        quick=quick,
+        folder=bodies or cache_folder() / "bench",
+        frames=frames or (QUICK_FRAMES if quick else 1000),
+        seconds=QUICK_SECONDS if quick else SECONDS,
+    ):
         rows.append(row)
         figures = "".join(f" {row[c]:>10}" for c in COLUMNS[:6])
         figures += "".join(f" {row[c + '_ms']:>10.2f}" for c in COLUMNS[6:])
         print(f"{row['asset']:14} {row['size']:>6} {row['acts']:18} {row['material']:9}" + figures, flush=True)
-    print("\n" + summary(rows, list(materials)))
-    if args.json:
-        write_json(args.json, rows)
-    for row in (r for r in rows if not r["sound"]):
-        print("vrgs: bench scene: not finite: {asset} {size} {acts} {material}".format(**row), file=sys.stderr)
-    return 0 if all(r["sound"] for r in rows) else 1
+        if not row["sound"]:
+            print("vrgs: bench scene: not finite: {asset} {size} {acts} {material}".format(**row), file=sys.stderr)
+        yield row
+    print("\n" + summary(rows, materials))
 
 
 def summary(rows: list[dict], materials: list[str]) -> str:

@@ -14,7 +14,6 @@ from time import perf_counter
 import numpy as np
 import taichi as ti
 
-from assets.file_access import check_writable, write_json
 from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
@@ -36,22 +35,16 @@ SMALL_POINTS, SMALL_COUNT = (6, 6, 6), 43
 TITLES = ("vertices", "tets", "ms / 400", "us / substep", "ms / 90 Hz", "times real")
 
 
-def run(args) -> None:
-    """Run the command: measure every scene, print a table, write --json. Raises BadInput."""
-    if args.json:
-        check_writable(args.json)
-    sizes = args.sizes or list(SINGLE_POINTS)
-    if unknown := [s for s in sizes if s not in SINGLE_POINTS]:
+def run(*, sizes: list[str] | None, rounds: int) -> Iterator[dict]:
+    """Measure every scene; prints and yields its row. Raises BadInput."""
+    if unknown := [s for s in sizes or () if s not in SINGLE_POINTS]:
         raise BadInput(f"bench sim: no size {unknown[0]}; known: {' '.join(SINGLE_POINTS)}")
-    rows = []
     print(f"{'scene':28}" + "".join(f" {title:>12}" for title in TITLES), flush=True)
-    for name, bodies, ground, contacts in scenes(sizes):
-        row = measure(name, bodies, ground, contacts, frames=args.rounds)
-        rows.append(row)
+    for name, bodies, ground, contacts in scenes(sizes or list(SINGLE_POINTS)):
+        row = measure(name, bodies, ground, contacts, frames=rounds)
         figures = (row[k] for k in ("median_ms", "us_per_substep", "headset_ms", "simulated_per_second"))
         print(f"{name:28} {row['vertices']:12} {row['tets']:12}" + "".join(f" {f:12.2f}" for f in figures), flush=True)
-    if args.json:
-        write_json(args.json, rows)
+        yield row
 
 
 def scenes(sizes: list[str]) -> Iterator[tuple[str, list[SoftBody], list, bool]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections.abc import Iterator
 from ctypes.util import find_library
 from dataclasses import fields, replace
 from pathlib import Path
@@ -16,35 +17,49 @@ from time import perf_counter
 import numpy as np
 import taichi as ti
 
-from assets.file_access import write_json
 from core.errors import BadInput
+from core.runtime import running_arch
 from display.timing import peak_memory_mb
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
 
 STAGE_STEPS = 100  # that are timed stage by stage, with the device waited for after each
 
 
-def run(args) -> None:
-    """Run the command: a row for each capture, variant and time of testing; with --orders a table of orders."""
-    if not args.names:
+def run(
+    *,
+    names: list[str],
+    variants: list[str],
+    steps: int | None,
+    at: list[int],
+    cap: int | None,
+    seed: int,
+    reduce: int,
+    test_every: int,
+) -> Iterator[dict]:
+    """Train on each capture in each variant; prints a table and yields a row for each time of testing."""
+    if not names:
         raise BadInput("bench train: name captures, folders as `train` takes them")
-    variants = [(text, variant_of(text)) for text in args.variants]
+    options = [(text, variant_of(text, steps, cap, seed)) for text in variants]
     rows = []
-    for name in args.names:
-        read = read_training_capture(Path(name), args.reduce, args.test_every)
+    for name in names:
+        read = read_training_capture(Path(name), reduce, test_every)
         if not read[2]:
             raise BadInput("bench train compares with photographs that are kept for the test: --test-every 8")
-        for text, options in variants:
-            rows += measure(Path(name).name, text, read, training_options(args, options, text), args.at)
+        for text, how in options:
+            rows += (measured := measure(Path(name).name, text, read, how, at))
             print_rows(rows)
-        if args.json:
-            write_json(args.json, rows)
+            yield from measured
 
 
-def variant_of(text: str) -> TrainOptions:
-    """Options of a variant: `plain`, `fast`, and fields with values, separated by commas. Raises BadInput."""
-    options, kinds = TrainOptions(), {f.name: type(getattr(TrainOptions(), f.name)) for f in fields(TrainOptions)}
-    for word in text.split(","):
+def variant_of(text: str, steps: int | None = None, cap: int | None = None, seed: int = 0) -> TrainOptions:
+    """Options of a variant: `plain`, `fast`, and fields with values, separated by commas. Raises BadInput.
+
+    steps, cap, seed  where the variant does not say; None: as suits the device
+    """
+    words, kinds = text.split(","), {f.name: type(f.default) for f in fields(TrainOptions)}
+    steps = steps or (FAST_STEPS if "fast" in words else STEPS)[running_arch()]
+    options = TrainOptions(steps=steps, cap=cap or CAPS[running_arch()], seed=seed)
+    for word in words:
         name, given, value = word.partition("=")
         if word == "fast":
             options = fast(options)
@@ -57,14 +72,6 @@ def variant_of(text: str) -> TrainOptions:
         elif word != "plain":
             raise BadInput(f"--variants: {word!r} is none of plain, fast, or NAME=VALUE of {', '.join(kinds)}")
     return options
-
-
-def training_options(args, options: TrainOptions, text: str) -> TrainOptions:
-    """The options with the command's, and the device's defaults, where the variant does not say."""
-    arch, said = "cuda" if ti.cfg.arch == ti.cuda else "cpu", text.replace("=", ",").split(",")
-    steps, cap = args.steps or (FAST_STEPS if "fast" in said else STEPS)[arch], args.cap or CAPS[arch]
-    numbers = {"steps": steps, "cap": cap, "seed": args.seed}
-    return replace(options, **{name: value for name, value in numbers.items() if name not in said})
 
 
 def read_training_capture(path: Path, reduce: int, test_every: int) -> tuple:

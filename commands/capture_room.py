@@ -26,7 +26,7 @@ from commands.train import is_posed, photographs_of, stages_before, with_poses
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
-from core.runtime import end_taichi, start_taichi
+from core.runtime import end_taichi, running_arch, start_taichi
 from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import Marks, marks_json, read_marks
 from prepare.segment.mask_files import read_masks
@@ -180,10 +180,8 @@ class RoomMaking:
 
     def train(self) -> None:
         """Poses, if there are none, and Gaussians."""
-        import taichi as ti
-
         o = self.options
-        steps = o.steps or STEPS["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
+        steps = o.steps or STEPS[running_arch()]
         inputs = {"steps": steps, "reduce": o.reduce, "cap": o.cap, "seed": o.seed}
         given = photographed(o, self.stages, self.say, self.check_points)
         self.marks, self.masks = given.marks, given.masks

@@ -22,27 +22,28 @@ from display.picture import save_picture
 
 DROP_HEIGHT_MIN = 0.1  # [m], without --height
 
-SUBJECTS = {
-    "sim": ("bench.sim_speed", "the solver, 400 substeps a frame"),
-    "scene": ("bench.scene_speed", "the solver, real bodies dropped, thrown, squeezed, piled up"),
-    "render": ("bench.render_speed", "a headset's picture, both eyes"),
-    "frame": ("bench.frame_time", "a headset's whole frame, ring toss"),
-    "demos": ("bench.demos", "the paper's nine demos, beside its figures"),
-    "train": ("bench.training_speed", "training on captures: quality, speed, memory, time by stage"),
+SUBJECTS = {  # module, options that it takes, and what it measures
+    "sim": ("bench.sim_speed", "sizes rounds", "the solver, 400 substeps a frame"),
+    "scene": (
+        "bench.scene_speed",
+        "asset sizes materials acts bodies frames quick",
+        "the solver, real bodies dropped, thrown, squeezed, piled up",
+    ),
+    "render": ("bench.render_speed", "gaussians size rounds", "a headset's picture, both eyes"),
+    "frame": ("bench.frame_time", "", "a headset's whole frame, ring toss"),
+    "demos": ("bench.demos", "names detail frames quick size", "the paper's nine demos, beside its figures"),
+    "train": (
+        "bench.training_speed",
+        "names variants steps at cap seed reduce test_every",
+        "training on captures: quality, speed, memory, time by stage",
+    ),
+}
+TAKERS = {  # subjects that take an option
+    name: tuple(subject for subject, (_, takes, _) in SUBJECTS.items() if name in takes.split())
+    for name in " ".join(takes for _, takes, _ in SUBJECTS.values()).split()
 }
 Act = Literal["drop", "throw", "squeeze", "stack"]
 RoomSize = Literal["0.305M", "1.313M", "2.526M"]
-NAMED = ("demos", "train")  # subjects that take names
-TAKERS = {  # subjects that take an option, of those that not all take
-    ("demos",): ("--detail",),
-    ("sim", "scene"): ("--sizes",),
-    ("scene",): ("--asset", "--materials", "--acts", "--bodies"),
-    ("scene", "demos"): ("--frames", "--quick"),
-    ("train",): ("--steps", "--at", "--reduce", "--test-every", "--cap", "--seed", "--variants"),
-    ("render",): ("--gaussians",),
-    ("render", "demos"): ("--size",),
-    ("sim", "render"): ("--rounds",),
-}
 
 
 @dataclass(kw_only=True)
@@ -53,12 +54,16 @@ class BenchOptions(cli.Options):
         "bench train fox/ bear/ --variants plain fast --json train.json",
     )
     CONDITIONS = tuple(
-        cli.Condition(flags, lambda o, takers=takers: o.subject in takers, f"belongs to bench {' and '.join(takers)}")
-        for takers, flags in TAKERS.items()
+        cli.Condition(
+            (f"--{name.replace('_', '-')}",),
+            lambda o, takers=takers: o.subject in takers,
+            f"belongs to bench {' and '.join(takers)}",
+        )
+        for name, takers in TAKERS.items()
     )
 
     subject: Literal["sim", "scene", "render", "frame", "demos", "train"] = cli.argument(
-        None, "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
+        None, "; ".join(f"{name}: {what}" for name, (_, _, what) in SUBJECTS.items())
     )
     names: list[str] = cli.argument("NAME", "demos: which (default: all that are there); train: captures", [])
     detail: cli.Detail = cli.option(None, "demos: assets as shipped, or at the paper's sizes", "shipped")
@@ -102,12 +107,20 @@ class FiguresOptions(cli.Options):
     arch: cli.Arch | None = cli.arch_option()
 
 
-def bench(options: BenchOptions) -> int | None:
-    """Measure the subject. Raises BadInput."""
-    if options.names and options.subject not in NAMED:
+def bench(options: BenchOptions) -> int:
+    """Measure the subject, writing --json after each row; returns 1 if a body exploded. Raises BadInput."""
+    module, takes, _ = SUBJECTS[options.subject]
+    if options.names and "names" not in takes:
         raise BadInput(f"bench {options.subject} takes no names: {' '.join(options.names)}")
+    if options.json:
+        check_writable(options.json)
     start_taichi(options.arch)
-    return importlib.import_module(SUBJECTS[options.subject][0]).run(options)
+    rows = []
+    for row in importlib.import_module(module).run(**{name: getattr(options, name) for name in takes.split()}):
+        rows.append(row)
+        if options.json:
+            write_json(options.json, rows)
+    return 0 if all(row.get("sound", row.get("finite", True)) for row in rows) else 1
 
 
 def check(options: CheckOptions) -> int:
@@ -115,7 +128,7 @@ def check(options: CheckOptions) -> int:
     start_taichi(options.arch)
     from bench import check
 
-    return check.run(options)
+    return check.run(quick=options.quick, json=options.json)
 
 
 def figures(options: FiguresOptions) -> None:
@@ -127,7 +140,7 @@ def figures(options: FiguresOptions) -> None:
     start_taichi(options.arch)
     from bench.paper_figures import run
 
-    run(options)
+    run(out=options.out, capture=options.capture, quick=options.quick)
 
 
 @dataclass(kw_only=True)

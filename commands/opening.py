@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from commands.options import Preparation
 from commands.prepared import cached_body, cached_environment, is_asset, is_prepared, prepared_body
 from core.errors import BadInput
-from core.runtime import is_out_of_memory
+from core.runtime import is_out_of_memory, running_arch
 from display.user_commands import AddBody, Command, OpenScene, SwapRoom
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class BackgroundPreparation:
         self._step, self._problem, self._done = "", "", False
         context = get_context("spawn")  # Taichi, which this process runs, survives no fork
         self._reports, reports = context.Pipe(duplex=False)
-        work = (path.absolute(), room, playing_arch(), reports)
+        work = (path.absolute(), room, running_arch(), reports)
         self._process = context.Process(target=prepare_into_cache, args=work, daemon=True)
         self._process.start()
         reports.close()  # else its end would not be seen here
@@ -134,13 +134,6 @@ class BackgroundPreparation:
             if self._process.is_alive():
                 self._process.kill()
                 self._process.join()
-
-
-def playing_arch() -> str:
-    """The device that the play uses."""
-    import taichi as ti
-
-    return "cuda" if ti.cfg.arch == ti.cuda else "cpu"
 
 
 def prepare_into_cache(path: Path, room: bool, arch: str, reports: Connection) -> None:

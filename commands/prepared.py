@@ -13,7 +13,7 @@ from assets.orientation import question
 from assets.room_folder import is_room_folder, read_room
 from core.errors import BadInput
 from core.program import cache_folder
-from core.runtime import start_taichi
+from core.runtime import running_arch, start_taichi
 from scenes.registry import demo
 
 if TYPE_CHECKING:
@@ -93,9 +93,7 @@ def is_animated(splats: Path, rig: Path | None = None) -> bool:
 
 def suited(vertices: int) -> str:
     """The line that says which number of vertices was chosen."""
-    import taichi as ti
-
-    return f"a cage of {vertices} vertices, as suits a {'GPU' if ti.cfg.arch == ti.cuda else 'CPU'} (--vertices N)"
+    return f"a cage of {vertices} vertices, as suits a {'GPU' if running_arch() == 'cuda' else 'CPU'} (--vertices N)"
 
 
 def cached_body(

@@ -17,7 +17,7 @@ from assets.splat_files import kind_to_write, write_gaussians
 from commands import options as cli
 from core.errors import BadInput
 from core.report import Section, Table, html_page
-from core.runtime import is_out_of_memory, start_taichi
+from core.runtime import is_out_of_memory, running_arch, start_taichi
 from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.train import train_options
 from prepare.train.capture import Capture, Lens, View
@@ -261,13 +261,11 @@ def with_poses(folder: Path, views: list[View], stages: Stages, say: Say, *, in_
 
 def _trainer(options: TrainOptions, capture, train: list, objects: list[str]):
     """The trainer at its start, and all options that its steps depend on."""
-    import taichi as ti
-
     from prepare.segment.object_ids import check_learned
     from prepare.train.seeds import first_count, seeds, with_background
     from prepare.train.trainer import Trainer
 
-    arch = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+    arch = running_arch()
     steps, cap = options.steps or (FAST_STEPS if options.fast else STEPS)[arch], options.cap or CAPS[arch]
     how = train_options.TrainOptions(
         steps=steps,

@@ -81,6 +81,13 @@ def start_taichi(arch: str | None = None, seed: int = 0) -> None:
     hasten_front_end()
 
 
+def running_arch() -> str:
+    """The device on which Taichi runs: "cuda" or "cpu"."""
+    import taichi as ti
+
+    return "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+
+
 def end_taichi() -> None:
     """End Taichi, and give back all memory of the device and of the kernels, so that it can be started anew.
 

@@ -16,6 +16,7 @@ from assets.orientation import describe_guess, question
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from core.report import png_of
+from core.runtime import running_arch
 from prepare import own_weight
 from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
@@ -131,9 +132,7 @@ def tell_alternatives(chances: dict, out: Path, strip: np.ndarray | None, report
 
 def device_vertices(*, animated: bool) -> tuple[int, ...]:
     """Numbers of vertices that suit the device, to be tried in turn. Taichi must be running."""
-    import taichi as ti
-
-    return ANIMATED_VERTICES if animated else DEVICE_VERTICES["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
+    return ANIMATED_VERTICES if animated else DEVICE_VERTICES[running_arch()]
 
 
 def _prepared_or_anew(gaussians, options: Options, progress: Progress, checkpoints: Checkpoints):

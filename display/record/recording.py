@@ -14,6 +14,7 @@ import numpy as np
 from assets.file_access import check_writable, reason_of
 from core.camera import Camera
 from core.errors import BadInput
+from core.runtime import running_arch
 from core.vocabulary import Hand
 from display.protocol import Frame
 from display.record.recording_file import DATASETS, OPTIONS, Journal, is_locked, write_recording
@@ -174,11 +175,9 @@ def packed_hand(hand: Hand | None) -> tuple[int, list[float]]:
 
 def about_play(args, world_options: dict) -> dict:
     """The options of the command and of the world, and where kernels run, as JSON."""
-    import taichi as ti
-
     given = {key: getattr(args, key, None) for key in OPTIONS}
     about = {key: value if value is None else plain(value) for key, value in given.items()}
-    about["arch"] = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+    about["arch"] = running_arch()
     about["world"] = {key: value for key, value in world_options.items() if isinstance(value, (bool, str))}
     return about
 

@@ -4,7 +4,6 @@ import base64
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -61,7 +60,7 @@ def test_what_is_interrupted_leaves_a_page_of_the_figures_that_are_made(tmp_path
     monkeypatch.setattr(paper_figures, "embedding_section", lambda *_: Section("the first", "text", {}))
     monkeypatch.setattr(paper_figures, "shadow_section", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        paper_figures.run(SimpleNamespace(out=tmp_path, quick=True, capture=None))
+        paper_figures.run(out=tmp_path, quick=True, capture=None)
     page = (tmp_path / "figures.html").read_text()
     assert "the first" in page and "Not finished: 1 of 6 figures." in page and (tmp_path / "figures.json").is_file()
 

@@ -201,7 +201,7 @@ def test_a_scene_file_is_opened_only_if_the_command_line_named_it():
 def preparing(monkeypatch, tmp_path):
     """An opening of a splat, which a function of this module prepares."""
     monkeypatch.setattr("commands.opening.is_prepared", lambda path, options, room: False)
-    monkeypatch.setattr(opening, "playing_arch", lambda: "cpu")
+    monkeypatch.setattr(opening, "running_arch", lambda: "cpu")
 
     def begin(function):
         monkeypatch.setattr(opening, "prepare_into_cache", function)
@@ -259,7 +259,7 @@ def test_a_preparation_that_is_cancelled_ends_at_once(preparing):
 def test_a_file_is_prepared_into_the_cache_by_a_process(tmp_path, monkeypatch):
     """The real one: a ball, with its progress; then it is found there."""
     monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(opening, "playing_arch", lambda: "cpu")
+    monkeypatch.setattr(opening, "running_arch", lambda: "cpu")
     monkeypatch.setattr(opening, "is_prepared", lambda path, options, room: False)
     write_gaussians(tmp_path / "ball.ply", ball(800))
     request, said = Opening(AddBody(str(tmp_path / "ball.ply")), PlayOptions(arch="cpu")), set()

@@ -168,7 +168,8 @@ class RoomMaking:
         self.train()
         found = self.look()
         self.segment()
-        room = placed_room(self.gaussians, self.capture, found, **self.measured())
+        points, length = self.measured()
+        room = placed_room(self.gaussians, self.capture, found, measured=points, length=length)
         for line in room.orientation.described():
             self.say(line)
         room, held = held_objects(room, self.say)
@@ -257,12 +258,12 @@ class RoomMaking:
         photographs = load_photographs(views, self.options.reduce, masks.ids)
         return learned_objects(g, self.capture, photographs, masks.names, progress)
 
-    def measured(self) -> dict:
-        """Points and length of --scale-points."""
+    def measured(self) -> tuple:
+        """Both points of --scale-points, and the length [m] between them; None for either without it."""
         from prepare.room_capture.room_pipeline import point_in_photograph
 
         if not self.options.scale_points:
-            return {}
+            return None, None
         points = []
         for text in self.options.scale_points[:2]:
             name, values = parsed_point(text)
@@ -270,7 +271,7 @@ class RoomMaking:
                 points.append(point_in_photograph(self.gaussians, self.capture, name, *values))
             else:
                 points.append(self.turn @ np.array(values))
-        return {"measured": tuple(points), "length": parsed_length(self.options.scale_points[2])}
+        return tuple(points), parsed_length(self.options.scale_points[2])
 
     def cages(self, room, held) -> tuple:
         """The room with the objects that have a body, and these."""
@@ -282,8 +283,8 @@ class RoomMaking:
         inputs = {"vertices": vertices, "material": o.material, "scale_points": o.scale_points}
 
         def make(folder: Path) -> None:
-            options = {"vertices": vertices, "material": o.material, "progress": self.stages.part, "say": self.say}
-            found, lost = bodies(room, held, **options)
+            part = self.stages.part
+            found, lost = bodies(room, held, vertices=vertices, material=o.material, progress=part, say=self.say)
             make_folder(folder / "objects")
             for asset, thing in found:
                 asset.save(folder / thing.asset)

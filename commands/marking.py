@@ -57,17 +57,17 @@ def edit_of(marks: Marks, grow: dict[str, int]) -> MarkEdit:
 
 
 class SplatSubject:
-    """Subject of MarkWindow: a splat, marked from a free camera. Taichi must be running."""
+    """A splat that is marked from a free camera; a Subject of MarkWindow. Taichi must be running."""
 
     size, version = PICTURE_SIZE, 0
 
-    def __init__(self, gaussians: Gaussians, marks: SplatMarks, up: str | None):
+    def __init__(self, gaussians: Gaussians, marks: SplatMarks):
         from display.viewed_file import FOV_Y, eye_around, middle_and_radius
         from prepare.segment.splat_segmentation import LiveSelection
 
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))
         upright = np.eye(4)
-        upright[:3, :3] = rotation_to_up(up or guess_up_axis(some)[0])
+        upright[:3, :3] = rotation_to_up(guess_up_axis(some)[0])
         turned = replace(some, means=(some.means @ upright[:3, :3].T).astype(np.float32))
         middle, radius = middle_and_radius(turned)
         eye = eye_around(middle, radius, 0.0, aspect=PICTURE_SIZE[0] / PICTURE_SIZE[1])
@@ -80,23 +80,18 @@ class SplatSubject:
         return list(self.free.cameras)
 
     def colour(self, index: int) -> tuple[float, float, float]:
-        """Colour of an object, 0..1."""
         return tuple(object_colors(index + 1)[index] / 255.0)
 
     def picture(self) -> np.ndarray:
-        """As Subject.picture."""
         return self._selection.picture(self.free.camera)
 
     def view_shown(self) -> str | None:
-        """As Subject.view_shown."""
         return self.free.shown()
 
     def go_to(self, view: str) -> None:
-        """As Subject.go_to."""
         self.free.go_to(view)
 
     def select(self, state: MarkState) -> str:
-        """As Subject.select."""
         marks, numbers = marks_of_state(state), {name: k for k, name in enumerate(state.objects, 1)}
         counts = self._selection.select(SplatMarks(self.free.cameras, marks, dict(state.grow)), numbers)
         return ", ".join(f"{name}: {count:,}" for name, count in counts.items()) + " Gaussians" if counts else ""
@@ -129,7 +124,6 @@ class PhotographSubject:
 
     @property
     def version(self) -> int:
-        """As Subject.version."""
         return sum(cut.done() for cut in self._cuts.values())
 
     @property
@@ -138,25 +132,20 @@ class PhotographSubject:
         return self._photograph()[0]
 
     def colour(self, index: int) -> tuple[float, float, float]:
-        """Colour of an object, 0..1."""
         return tuple(object_colors(index + 1)[index] / 255.0)
 
     def view_shown(self) -> str:
-        """As Subject.view_shown."""
         return self._shown
 
     def go_to(self, view: str) -> None:
-        """As Subject.go_to."""
         self._shown = view
 
     def select(self, state: MarkState) -> str:
-        """As Subject.select."""
         marks, self._state = marks_of_state(state), state
         once = [name for name, views in marks.objects.items() if len(views) == 1]
         return f"{', '.join(once)}: mark it in one more photograph, from elsewhere" if once else ""
 
     def picture(self) -> np.ndarray:
-        """As Subject.picture."""
         _, pixels = self._photograph()
         ids = np.zeros(pixels.shape[:2], np.uint8)
         marks = marks_of_state(self._state).in_view(self._shown)

@@ -68,17 +68,14 @@ class Opening:
 
 def opened_options(request: Command, options: PlayOptions) -> PlayOptions:
     """The play's options as if the request stood on the command line. Raises BadInput."""
-    usual = Preparation().values_of(Preparation) | {"given": options.given}
-    match request:
-        case SwapRoom(path):
-            return replace(options, stage=path)
-        case AddBody():
-            return replace(options, **usual)
-        case OpenScene(name, chosen, bodies, stage):
-            check_name(name, options.scene)
-            files = {"body": list(bodies) or None, "stage": stage, "material": None}
-            return replace(options, scene=name, options=dict(chosen), **files, **usual)
-    return replace(options)
+    if isinstance(request, SwapRoom):
+        return replace(options, stage=request.path)
+    opened = replace(options, up=None, scale=None, front=None, vertices=None, cells="adaptive", pieces=False)
+    if isinstance(request, OpenScene):
+        check_name(request.name, options.scene)
+        opened.scene, opened.options, opened.material = request.name, dict(request.options), None
+        opened.body, opened.stage = list(request.bodies) or None, request.stage
+    return opened
 
 
 def check_name(name: str, playing: str) -> None:

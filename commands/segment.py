@@ -268,7 +268,7 @@ def marked_splats(options: SegmentOptions) -> SplatMarks:
     before = read_splat_marks(path) if path.is_file() else SplatMarks()
     gaussians = read_gaussians(options.capture, show)
     start_taichi(options.arch)
-    subject = SplatSubject(gaussians, before, None)
+    subject = SplatSubject(gaussians, before)
     state = marked_in_window(
         subject, edit_of(before.marks, before.grow), f"Mark {options.capture.name}", SPLAT_WINDOW_SIZE
     )

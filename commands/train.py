@@ -368,8 +368,8 @@ def _preview(options: TrainOptions, capture, trainer, progress: _Progress) -> No
 
     camera = capture.views[0].camera()
     fov_y = 2.0 * float(np.arctan(0.5 * camera.height / camera.fy))
-    view = {"eye": tuple(camera.position), "target": tuple(capture.looked_at()), "fov_y": fov_y}
-    scene = Scene(bodies=[], light=None, background=BACKGROUND, **view)
+    eye, target = tuple(camera.position), tuple(capture.looked_at())
+    scene = Scene(bodies=[], light=None, background=BACKGROUND, eye=eye, target=target, fov_y=fov_y)
 
     def advance() -> str:
         end = time.perf_counter() + PREVIEW_SECONDS

@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import affine_transform, distance_transform_edt
 from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
 from assets.asset import Asset
+from core.rotation import rotation_between
 from core.tetmesh import tet_volumes
 from prepare.cage.level_set import ComponentSolid
 
@@ -83,8 +83,7 @@ def stood_up(asset: Asset, solids: list[ComponentSolid]) -> tuple[Asset, list[Co
     lean = float(np.degrees(np.arccos(np.clip(-normal[1], -1.0, 1.0))))
     if not LEANS[0] <= lean <= LEANS[1]:
         return asset, solids
-    axis = np.cross(normal, [0.0, -1.0, 0.0])
-    rotation = Rotation.from_rotvec(np.radians(lean) * axis / np.linalg.norm(axis)).as_matrix()
+    rotation = rotation_between(normal, (0.0, -1.0, 0.0))
     turned = asset.transformed(rotation)
     shift = np.array(turned.provenance["reoriented"][-1][2])
     provenance = asset.provenance | {"stood_up": round(lean, 1)}

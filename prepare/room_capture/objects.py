@@ -25,6 +25,7 @@ from prepare.cage.cage_generation import NoSoundCage
 from prepare.own_weight import holds_centre, liftable, steady
 from prepare.pipeline import Options, prepare
 from prepare.progress import Progress, no_progress
+from prepare.standing import resting_normal
 
 SOLID = 0.3  # opacity from which a Gaussian can touch
 TOUCH = 0.06  # object sizes: a gap up to this is contact
@@ -180,7 +181,7 @@ def seated(background: Asset, bodies: Sequence[tuple[Asset, RoomObject]]) -> Ass
 
 
 def base_of(body: Asset) -> Base:
-    """The base on which a body stands by itself: the facet of its lower convex hull that is under its centre of mass.
+    """The base on which a body stands by itself: the facet of the hull of its underside that bears its centre of mass.
 
     Three of the body's points are on it and none is below, so that it neither tilts nor slides there by its weight.
     """
@@ -191,11 +192,8 @@ def base_of(body: Asset) -> Base:
     points = np.stack([grid.origin[0] + grid.spacing * i, under[i, k], grid.origin[2] + grid.spacing * k], axis=1)
     size = float(np.ptp(body.cage.vertices, axis=0).max())
     apex = centre + [0.0, 10.0 * size, 0.0]  # a flat underside has no hull of its own
-    planes = ConvexHull(np.vstack([points, apex])).equations
-    planes = planes[planes[:, 1] < -1e-3]
-    heights = -(planes[:, [0, 2]] @ centre[[0, 2]] + planes[:, 3]) / planes[:, 1]
-    plane = planes[np.argmax(heights)]
-    normal, level, imprint = -plane[:3], float(plane[3]), IMPRINT * size
+    normal = -resting_normal(np.vstack([points, apex]), centre)
+    level, imprint = float((points @ normal).min()), IMPRINT * size
     touching = np.zeros(under.shape, bool)
     touching[i, k] = points @ normal - level < imprint
     beside = distance_transform_edt(~touching) - distance_transform_edt(touching)

@@ -47,20 +47,20 @@ class Support:
     level: float = 0.0
 
 
-def support_of(thing: Gaussians, rest: Gaussians) -> Support:
+def support_of(gaussians: Gaussians, rest: Gaussians) -> Support:
     """The part of the rest of a room [m], +y up, that holds an object.
 
     It stands if its contacts near the foot surround its centre, as those of a base do; else it hangs, as a trophy on a
     wall does. Raises BadInput if it touches nothing.
     """
-    thing, rest = thing.select(thing.opacities > SOLID), rest.select(rest.opacities > SOLID)
-    own, others = thing.means.astype(np.float64), rest.means.astype(np.float64)
+    gaussians, rest = gaussians.select(gaussians.opacities > SOLID), rest.select(rest.opacities > SOLID)
+    own, others = gaussians.means.astype(np.float64), rest.means.astype(np.float64)
     low, high = robust_bounds(own)
     size, touch = float((high - low).max()), np.zeros(0, int)
     if len(others):
         away, at = cKDTree(others).query(own, k=min(NEIGHBOURS, len(others)))
         away, at = away.reshape(len(own), -1), at.reshape(len(own), -1)
-        reach = TOUCH * size + widths(thing)[:, None] + widths(rest)[at]
+        reach = TOUCH * size + widths(gaussians)[:, None] + widths(rest)[at]
         touch = np.flatnonzero((away < reach).any(axis=1))
     if len(touch) < TOUCHES_MIN:
         raise BadInput("touches nothing that holds it up; photograph what it stands on, or mark it as background")
@@ -91,7 +91,7 @@ def widths(g: Gaussians) -> np.ndarray:
 def object_body(
     name: str,
     file: str,
-    thing: Gaussians,
+    gaussians: Gaussians,
     support: Support,
     *,
     vertices: Sequence[int],
@@ -106,14 +106,14 @@ def object_body(
     Raises BadInput if there is no cage for it.
     """
     turn = rotation_between(support.direction, (0.0, 1.0, 0.0))
-    thing, wanted = (
-        replace(thing.transformed(turn), object_id=np.zeros(len(thing), np.uint16), objects=()),
+    gaussians, wanted = (
+        replace(gaussians.transformed(turn), object_id=np.zeros(len(gaussians), np.uint16), objects=()),
         list(vertices),
     )
     while True:
         options = Options(wanted.pop(0), up="+y", material=material, metres=True)
         try:
-            asset = prepare(thing, options, progress=progress, say=say)
+            asset = prepare(gaussians, options, progress=progress, say=say)
             break
         except NoSoundCage as e:
             if not wanted:
@@ -169,13 +169,13 @@ def seated(background: Asset, bodies: Sequence[tuple[Asset, RoomObject]]) -> Ass
     What hangs is held by itself: only its place is hollowed out.
     """
     grids = [background.sdf, *background.environment.fine_grids]
-    for asset, thing in bodies:
-        if thing.fixed_below is None:
+    for asset, placed in bodies:
+        if placed.fixed_below is None:
             base = base_of(asset)
-            k = finest_around(grids, *base_box(base, asset.sdf, thing))
-            grids[k] = filled_under(grids[k], base, asset.sdf, thing)
-    for asset, thing in bodies:
-        grids = [without_solid(grid, asset.sdf, thing) for grid in grids]
+            k = finest_around(grids, *base_box(base, asset.sdf, placed))
+            grids[k] = filled_under(grids[k], base, asset.sdf, placed)
+    for asset, placed in bodies:
+        grids = [without_solid(grid, asset.sdf, placed) for grid in grids]
     environment = replace(background.environment, fine_grids=tuple(grids[1:]))
     return replace(background, sdf=grids[0], environment=environment)
 
@@ -217,14 +217,14 @@ def skin_of(body: DistanceGrid) -> float:
     return SKIN_VOXELS * body.spacing
 
 
-def base_box(base: Base, body: DistanceGrid, thing: RoomObject) -> tuple[np.ndarray, np.ndarray]:
+def base_box(base: Base, body: DistanceGrid, placed: RoomObject) -> tuple[np.ndarray, np.ndarray]:
     """Corners [m] of the box around a base in the room."""
     i, k = np.nonzero(base.beside < skin_of(body))
     x, z = body.origin[0] + body.spacing * i, body.origin[2] + body.spacing * k
     y = (base.level - np.stack([x, z], axis=1) @ base.normal[[0, 2]]) / base.normal[1]
     low, high = (np.stack([x, y + up, z], axis=1) for up in (-base.depth, base.imprint))
-    turn = matrices_from_quaternions(np.array(thing.rotation))
-    placed = np.vstack([low, high]) @ turn.T + thing.position
+    turn = matrices_from_quaternions(np.array(placed.rotation))
+    placed = np.vstack([low, high]) @ turn.T + placed.position
     return placed.min(0), placed.max(0)
 
 
@@ -234,7 +234,7 @@ def finest_around(grids: Sequence[DistanceGrid], low: np.ndarray, high: np.ndarr
     return min(holding, key=lambda k: grids[k].spacing, default=0)
 
 
-def filled_under(grid: DistanceGrid, base: Base, body: DistanceGrid, thing: RoomObject) -> DistanceGrid:
+def filled_under(grid: DistanceGrid, base: Base, body: DistanceGrid, placed: RoomObject) -> DistanceGrid:
     """A room's distance grid with what an object stands on: below the plane of its base, as wide as its skin, and up to
     the imprint where it touches."""
 
@@ -245,11 +245,11 @@ def filled_under(grid: DistanceGrid, base: Base, body: DistanceGrid, thing: Room
         top = np.minimum(np.maximum(over, beside - skin_of(body)), np.maximum(over - base.imprint, beside))
         return np.maximum(top, -over - base.depth)
 
-    low, high = base_box(base, body, thing)
-    return _changed(grid, low, high, thing, lambda values, points: np.minimum(values, seat(points)))
+    low, high = base_box(base, body, placed)
+    return _changed(grid, low, high, placed, lambda values, points: np.minimum(values, seat(points)))
 
 
-def without_solid(grid: DistanceGrid, body: DistanceGrid, thing: RoomObject) -> DistanceGrid:
+def without_solid(grid: DistanceGrid, body: DistanceGrid, placed: RoomObject) -> DistanceGrid:
     """A room's distance grid less a body at its place: the maximum of the one and minus the other.
 
     Contact takes the distance less the body's own, but not more of that than its skin: where the body's cage is wider,
@@ -261,12 +261,12 @@ def without_solid(grid: DistanceGrid, body: DistanceGrid, thing: RoomObject) -> 
         depth = body.sample_extended(points)
         return np.maximum(values, np.maximum(-depth, -skin - SLOPE * (depth - skin)))
 
-    turn = matrices_from_quaternions(np.array(thing.rotation))
+    turn = matrices_from_quaternions(np.array(placed.rotation))
     corners = np.where(np.indices((2, 2, 2)).reshape(3, -1).T.astype(bool), body.upper, body.origin) @ turn.T
-    return _changed(grid, corners.min(0) + thing.position, corners.max(0) + thing.position, thing, hollow)
+    return _changed(grid, corners.min(0) + placed.position, corners.max(0) + placed.position, placed, hollow)
 
 
-def _changed(grid: DistanceGrid, low: np.ndarray, high: np.ndarray, thing: RoomObject, change) -> DistanceGrid:
+def _changed(grid: DistanceGrid, low: np.ndarray, high: np.ndarray, placed: RoomObject, change) -> DistanceGrid:
     """A room's grid with `change(values, points)` made to its nodes in a box, at points in an object's own frame."""
     first = np.floor((low - grid.origin) / grid.spacing).astype(int).clip(0, grid.shape)
     last = (np.ceil((high - grid.origin) / grid.spacing).astype(int) + 1).clip(0, grid.shape)
@@ -274,7 +274,7 @@ def _changed(grid: DistanceGrid, low: np.ndarray, high: np.ndarray, thing: RoomO
         return grid
     part = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
     nodes = grid.origin + grid.spacing * (np.moveaxis(np.indices(tuple(last - first)), 0, -1) + first)
-    points = (nodes - thing.position) @ matrices_from_quaternions(np.array(thing.rotation))
+    points = (nodes - placed.position) @ matrices_from_quaternions(np.array(placed.rotation))
     values = np.array(grid.values)
     values[part] = change(values[part], points).astype(values.dtype)
     return replace(grid, values=values)

@@ -135,10 +135,10 @@ def held_objects(room: PlacedRoom, say: Callable[[str], None]) -> tuple[PlacedRo
             lost[object_name(g, k)] = why
     while True:
         room, lost, held = without_objects(room, lost, say), {}, []
-        things, rest = room.parts()
-        for name, thing in zip(room.names, things, strict=True):
+        parts, rest = room.parts()
+        for name, part in zip(room.names, parts, strict=True):
             try:
-                held.append(support_of(thing, rest))
+                held.append(support_of(part, rest))
             except BadInput as e:
                 lost[name] = str(e)
         if not lost:  # else what stays in the background may hold another
@@ -161,9 +161,9 @@ def without_objects(room: PlacedRoom, lost: dict[str, str], say: Callable[[str],
     return replace(room, gaussians=replace(g, object_id=ids))
 
 
-def too_little(thing: Gaussians, share: float) -> str:
+def too_little(part: Gaussians, share: float) -> str:
     """Reason why Gaussians with this share of the pictures cannot become an object; "" if they can."""
-    opaque = int((thing.opacities > SOLID).sum())
+    opaque = int((part.opacities > SOLID).sum())
     if opaque < MIN_GAUSSIANS:
         return f"only {opaque} opaque Gaussians belong to it; train longer (--steps) or mark more of it"
     return "the photographs hardly show it; mark more of it, or leave it out" if share < OBJECT_SHARE else ""
@@ -174,16 +174,23 @@ def inpainted(
 ) -> Gaussians:
     """The background with the places of its objects closed, one after the other; left open where there is no surface
     to go on with, as a line to `say` tells. Raises BadInput."""
-    things, rest = room.parts()
-    if things:
-        from prepare.inpaint.inpaint_pipeline import NoSurface, inpaint
-    how = {} if painter is None else {"painter": painter}
-    for k, (name, thing) in enumerate(zip(room.names, things, strict=True)):
-        others = [other for other in things if other is not thing]  # what they hid was not seen either
-        how["others"] = concatenate(others) if others else None
-        how["standing"] = concatenate(things[k + 1 :]) if things[k + 1 :] else None  # those before took their shadow
+    from prepare.inpaint.inpaint_pipeline import NoSurface, inpaint, paint_from_patches
+
+    parts, rest = room.parts()
+    for k, (name, part) in enumerate(zip(room.names, parts, strict=True)):
+        others = [other for other in parts if other is not part]  # what they hid was not seen either
+        standing = parts[k + 1 :]  # those before took their shadow along
         try:
-            rest = inpaint(rest, thing, room.view.cameras, name=name, progress=progress(name, k, len(things)), **how)
+            rest = inpaint(
+                rest,
+                part,
+                room.view.cameras,
+                name=name,
+                others=concatenate(others) if others else None,
+                standing=concatenate(standing) if standing else None,
+                painter=painter or paint_from_patches,
+                progress=progress(name, k, len(parts)),
+            )
         except NoSurface as e:
             say(f"what it hid stays open: {e}")
     return rest
@@ -199,12 +206,15 @@ def bodies(
     say: Callable[[str], None],
 ) -> tuple[list[tuple[Asset, RoomObject]], dict[str, str]]:
     """A body for each object, and its place; and why there is none of other objects, by name."""
-    things, _ = room.parts()
+    parts, _ = room.parts()
     found, lost, files = [], {}, object_files(room.names)
-    for k, (name, thing, support) in enumerate(zip(room.names, things, held, strict=True)):
-        how = {"vertices": vertices, "material": material, "progress": progress(name, k, len(things)), "say": say}
+    for k, (name, part, support) in enumerate(zip(room.names, parts, held, strict=True)):
+        of_object = progress(name, k, len(parts))
         try:
-            found.append(object_body(name, files[k], thing, support, **how))
+            made = object_body(
+                name, files[k], part, support, vertices=vertices, material=material, progress=of_object, say=say
+            )
+            found.append(made)
         except BadInput as e:
             lost[name] = str(e)
     return found, lost
@@ -213,39 +223,39 @@ def bodies(
 def background(
     room: PlacedRoom,
     rest: Gaussians,
-    things: Sequence[tuple[Asset, RoomObject]],
+    bodies: Sequence[tuple[Asset, RoomObject]],
     *,
     cell: float | None = None,
     progress: Progress = no_progress,
 ) -> Asset:
     """The environment of the room without its objects, with a seat for each."""
     near = []
-    for asset, thing in things:
-        x = placed_points(asset.cage.vertices, thing)
+    for asset, placed in bodies:
+        x = placed_points(asset.cage.vertices, placed)
         near.append((x.min(0) - NEAR_MARGIN, x.max(0) + NEAR_MARGIN))
     extent = room_extent(room.gaussians, room.weight, room.view)
     made = captured_environment(rest, room.view, extent, near=near, cell=cell, progress=progress)
-    return seated(made, things)
+    return seated(made, bodies)
 
 
-def placed_points(points: np.ndarray, thing: RoomObject) -> np.ndarray:
+def placed_points(points: np.ndarray, placed: RoomObject) -> np.ndarray:
     """Points (N, 3) of an object's asset in the room [m]."""
-    return points @ matrices_from_quaternions(np.array(thing.rotation)).T + thing.position
+    return points @ matrices_from_quaternions(np.array(placed.rotation)).T + placed.position
 
 
-def with_objects(rest: Gaussians, things: Sequence[tuple[Asset, RoomObject]]) -> Gaussians:
+def with_objects(rest: Gaussians, bodies: Sequence[tuple[Asset, RoomObject]]) -> Gaussians:
     """The Gaussians of the room with its objects in their places."""
     turned = [
-        asset.gaussians.transformed(matrices_from_quaternions(np.array(thing.rotation)), thing.position)
-        for asset, thing in things
+        asset.gaussians.transformed(matrices_from_quaternions(np.array(placed.rotation)), placed.position)
+        for asset, placed in bodies
     ]
     return concatenate([replace(g, objects=()) for g in (rest, *turned)])
 
 
-def manifest(room: PlacedRoom, things: Sequence[RoomObject]) -> RoomManifest:
+def manifest(room: PlacedRoom, bodies: Sequence[RoomObject]) -> RoomManifest:
     """The manifest of the room."""
     eye, target, fov = view_of(room.view)
     o, matrix = room.orientation, np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = o.scale * o.rotation, o.shift
     where = (eye, target, fov, room.view.floor, o.scale, matrix)
-    return RoomManifest("room.h5", tuple(things), *where, tuple(room.view.cameras))
+    return RoomManifest("room.h5", tuple(bodies), *where, tuple(room.view.cameras))

@@ -68,11 +68,6 @@ class WristButton:
     name: str
     box: tuple[int, int, int, int]
 
-    def contains(self, u: float, v: float) -> bool:
-        """True if a point [px] is on it."""
-        x, y, w, h = self.box
-        return x <= u < x + w and y <= v < y + h
-
 
 def button_rows(rows: Sequence[Sequence[str]], columns: int = 0) -> list[WristButton]:
     """Buttons in rows from the top, in each as wide as if it had `columns` of them."""
@@ -127,7 +122,11 @@ def page_after(page: str, button: str) -> str:
 
 def button_at(u: float, v: float, page: str = "") -> WristButton | None:
     """The button at a point of the panel [px]."""
-    return next((b for b in pages()[page] if b.contains(u, v)), None)
+    for button in pages()[page]:
+        x, y, w, h = button.box
+        if x <= u < x + w and y <= v < y + h:
+            return button
+    return None
 
 
 def panel_pose(hand: np.ndarray, head: np.ndarray) -> np.ndarray:

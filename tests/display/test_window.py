@@ -170,13 +170,6 @@ def test_space_pauses_and_n_steps_once(session):
     session.until(lambda f: not f["paused"] and f["steps"] > paused["steps"] + 3)
 
 
-def test_t_switches_between_physics_and_transform(session):
-    session.screen.key("t")
-    session.until(lambda f: f["interaction"] == "transform")
-    session.screen.key("t")
-    session.until(lambda f: f["interaction"] == "physics")
-
-
 def test_editing_keys_and_buttons_reach_the_world(session):
     keys = {"ctrl+z": "undo", "ctrl+shift+z": "redo", "u": "undo", "ctrl+d": "duplicate", "Delete": "remove"}
     for key, command in {**keys, "plus": "rescale", "minus": "rescale", "period": "rotate"}.items():

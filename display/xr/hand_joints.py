@@ -80,7 +80,7 @@ class HandJoints:
         return pose_matrix(knuckle, np.column_stack([side, np.cross(back, side), back]))
 
 
-def posed(bends=RELAXED, *, left: bool = False, world_from_wrist: np.ndarray | None = None) -> HandJoints:
+def posed(bends=RELAXED, *, left: bool = False) -> HandJoints:
     """The model hand; `bends` (5,) are fractions of a fist's bend, thumb first."""
     position, rotation, radius = np.zeros((JOINT_COUNT, 3)), np.tile(np.eye(3), (JOINT_COUNT, 1, 1)), np.zeros(26)
     radius[[PALM, WRIST]] = PALM_RADIUS, WRIST_RADIUS
@@ -105,10 +105,9 @@ def posed(bends=RELAXED, *, left: bool = False, world_from_wrist: np.ndarray | N
         position[j[k + 1]] = position[j[k]] + turn @ bone
     rotation[j[-1]] = rotation[j[-2]]
     position[PALM] = 0.5 * (position[FINGERS[2][0]] + position[FINGERS[2][1]])
-    joints = HandJoints(position, rotation, radius)
     if left:
-        joints = HandJoints(position @ MIRROR, MIRROR @ rotation @ MIRROR, radius)
-    return joints if world_from_wrist is None else joints.transformed(world_from_wrist)
+        return HandJoints(position @ MIRROR, MIRROR @ rotation @ MIRROR, radius)
+    return HandJoints(position, rotation, radius)
 
 
 def rotation_about(axis, angle: float) -> np.ndarray:

@@ -146,12 +146,6 @@ def project_to_panel(panel: np.ndarray, point: np.ndarray) -> tuple[float, float
     return 0.5 * PIXELS[0] + scale * p[0], 0.5 * PIXELS[1] - scale * p[1], float(p[2])
 
 
-def point_on_panel(panel: np.ndarray, u: float, v: float, distance: float = 0.0) -> np.ndarray:
-    """Point (3,) at a distance [m] before a pixel of the panel (4, 4): the inverse of `project_to_panel`."""
-    scale = PANEL_WIDTH / PIXELS[0]
-    return panel[:3, 3] + panel[:3, :3] @ [(u - 0.5 * PIXELS[0]) * scale, (0.5 * PIXELS[1] - v) * scale, distance]
-
-
 def is_inside(u: float, v: float) -> bool:
     """True if a pixel is on the panel."""
     return 0 <= u < PIXELS[0] and 0 <= v < PIXELS[1]

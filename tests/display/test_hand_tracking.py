@@ -41,7 +41,7 @@ def does(*poses, left=False):
 
 
 def track(poses, left=False):
-    return [None if p is None else posed(p, left=left, world_from_wrist=frame()) for p in poses]
+    return [None if p is None else posed(p, left=left).transformed(frame()) for p in poses]
 
 
 @pytest.mark.parametrize("left", [False, True])
@@ -76,10 +76,10 @@ def test_a_lost_hand_goes_on_with_what_it_did():
 
 
 def test_a_pinch_holds_between_the_fingers_and_a_fist_in_the_palm():
-    pinch, fist = (HandGestures().read(posed(p, world_from_wrist=frame())) for p in (PINCH, FIST))
-    tips = posed(PINCH, world_from_wrist=frame()).position[[J.THUMB_TIP, J.INDEX_TIP]]
+    pinch, fist = (HandGestures().read(posed(p).transformed(frame())) for p in (PINCH, FIST))
+    tips = posed(PINCH).transformed(frame()).position[[J.THUMB_TIP, J.INDEX_TIP]]
     assert_allclose(pinch.grip[:3, 3], tips.mean(0), atol=1e-12)
-    assert_allclose(fist.grip[:3, 3], posed(FIST, world_from_wrist=frame()).position[J.PALM], atol=1e-12)
+    assert_allclose(fist.grip[:3, 3], posed(FIST).transformed(frame()).position[J.PALM], atol=1e-12)
     player = Player(registry.load("ring_toss"))
     hands, _ = player.advance([pinch, fist], np.eye(4), FakeView())
     assert [h.grip for h in hands] == [True, True] and [h.reach for h in hands] == [PINCH_RADIUS, GRAB_RADIUS]
@@ -87,9 +87,7 @@ def test_a_pinch_holds_between_the_fingers_and_a_fist_in_the_palm():
     assert_allclose(hands[0].position, (stage @ [*tips.mean(0), 1.0])[:3])
     assert len(hands[0].touch) == len(BONES)
     a = np.array([t.a for t in hands[0].touch])
-    assert_allclose(
-        a, posed(PINCH, world_from_wrist=frame()).bones()[:, :3] @ stage[:3, :3].T + stage[:3, 3], atol=1e-12
-    )
+    assert_allclose(a, posed(PINCH).transformed(frame()).bones()[:, :3] @ stage[:3, :3].T + stage[:3, 3], atol=1e-12)
 
 
 def test_bones_are_where_the_joints_are_and_not_too_thick():
@@ -105,12 +103,12 @@ def test_bones_are_where_the_joints_are_and_not_too_thick():
 def test_bends_add_up_and_do_not_depend_on_where_the_hand_is():
     straight, fist = posed((0.0,) * 5).curls(), posed((1.0,) * 5).curls()
     assert (straight[1:] < np.radians(10)).all() and (fist[1:] > np.radians(200)).all()
-    assert_allclose(posed(PINCH, world_from_wrist=frame((1, 2, 3), 2.0)).curls(), posed(PINCH).curls(), atol=1e-9)
+    assert_allclose(posed(PINCH).transformed(frame((1, 2, 3), 2.0)).curls(), posed(PINCH).curls(), atol=1e-9)
     assert_allclose(posed(PINCH, left=True).curls(), posed(PINCH).curls(), atol=1e-9)
 
 
 def test_a_hand_points_along_its_forearm_however_it_pinches():
-    aims = [posed(p, world_from_wrist=frame()).aim() for p in (RELAXED, PINCH)]
+    aims = [posed(p).transformed(frame()).aim() for p in (RELAXED, PINCH)]
     assert_allclose(aims[0], aims[1], atol=1e-12)
     assert np.linalg.det(aims[0][:3, :3]) == pytest.approx(1.0)
     ahead = frame()[:3, :3] @ [0, 0, -1]
@@ -118,7 +116,7 @@ def test_a_hand_points_along_its_forearm_however_it_pinches():
 
 
 def test_the_skeleton_is_made_of_rotations_along_its_bones():
-    joints = posed(PINCH, left=True, world_from_wrist=frame())
+    joints = posed(PINCH, left=True).transformed(frame())
     assert_allclose(
         joints.rotation @ np.swapaxes(joints.rotation, 1, 2), np.tile(np.eye(3), (J.JOINT_COUNT, 1, 1)), atol=1e-9
     )

@@ -18,10 +18,11 @@ from core.rotation import quaternions_from_matrices
 from display.record.replay import Replay
 from display.study.study_file import read_study
 from display.xr.poses import PlaySpace
-from display.xr.wrist_panel import BUTTONS, panel_pose, point_on_panel
+from display.xr.wrist_panel import BUTTONS, panel_pose
 from scenes import ring_toss
 from tests.support.remote_headset import PORT, Player, monado, surroundings
 from tests.support.watched import SUPPORT, Watched
+from tests.support.worn import point_on_panel
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
 WHY = "no OpenXR runtime to play in: build it with `sh tests/support/monado.sh`"

@@ -25,7 +25,7 @@ def pointing(pitch):
 
 def hand(bends, pitch=-0.5):
     """A left hand that points up by `pitch` [rad]."""
-    return posed(bends, left=True, world_from_wrist=pointing(pitch))
+    return posed(bends, left=True).transformed(pointing(pitch))
 
 
 class Play:
@@ -81,7 +81,7 @@ def test_a_pinch_that_was_begun_ahead_or_at_a_body_is_no_teleport():
 
 
 def test_the_right_hand_and_controllers_do_not_teleport_by_pinching():
-    right = HandGestures().read(posed(PINCH, world_from_wrist=pointing(-0.5)))
+    right = HandGestures().read(posed(PINCH).transformed(pointing(-0.5)))
     assert Play().frame(Controller(), right) == ([False, True], None)
     held = Controller(grip=np.eye(4), aim=pointing(-0.5), pinch=1.0)
     assert Play().frame(held) == ([True, False], None)

@@ -24,13 +24,13 @@ from display.xr.wrist_panel import (
     pages,
     paint,
     panel_pose,
-    point_on_panel,
     project_to_panel,
     ray_hit,
     scene_requests,
 )
 from tests.support.fake_view import FakeView
 from tests.support.fake_world import fake_scene
+from tests.support.worn import point_on_panel
 
 
 def at(x, y, z) -> np.ndarray:

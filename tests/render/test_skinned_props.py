@@ -86,7 +86,7 @@ def test_the_hands_bound_pose_is_the_model_itself(all_skins):
 
 def test_a_turned_hand_is_turned_as_a_whole():
     at = pose_matrix(np.array([0.3, 1.0, -0.2]), rotation_about((1, 2, 3), 1.1))
-    poses = avatar.skinning_transforms(posed(avatar.BIND_BENDS, world_from_wrist=at), left=False)
+    poses = avatar.skinning_transforms(posed(avatar.BIND_BENDS).transformed(at), left=False)
     used = [j for f in FINGERS for j in f[:-1]] + [WRIST]
     assert_allclose(poses[used], np.tile(at[:3], (len(used), 1, 1)), atol=1e-9)
 

@@ -10,6 +10,7 @@ import numpy as np
 from display.protocol import WorldView
 from display.timing import Timings
 from display.xr import headset as module
+from display.xr.wrist_panel import PANEL_WIDTH, PIXELS
 from scenes import ring_toss
 
 ATTACH = ctypes.CFUNCTYPE(None, *[ctypes.c_uint] * 4, ctypes.c_int)(lambda *call: None)  # glFramebufferTexture2D
@@ -97,3 +98,9 @@ def worn(monkeypatch):
 def lines(capsys) -> list[str]:
     """Lines on stderr after the greeting."""
     return capsys.readouterr().err.splitlines()[1:]
+
+
+def point_on_panel(panel: np.ndarray, u: float, v: float, distance: float = 0.0) -> np.ndarray:
+    """Point (3,) at a distance [m] before a pixel of the panel (4, 4): the inverse of `project_to_panel`."""
+    scale = PANEL_WIDTH / PIXELS[0]
+    return panel[:3, 3] + panel[:3, :3] @ [(u - 0.5 * PIXELS[0]) * scale, (0.5 * PIXELS[1] - v) * scale, distance]

@@ -162,7 +162,8 @@ class Browser:
             self._time += dt
             moving = self._camera_moved() or world.moving
             self._busy = moving or bool(commands or hands)
-            self._resolution.note(now, seconds, self._drawing(world), moving=moving)
+            drawing = world.timings.latest("shadow", "render", "present") + self._waited  # which fewer pixels shorten
+            self._resolution.note(now, seconds, drawing, moving=moving)
             if world.picture_size != self.size:
                 world.resize(*self.size)
             camera = self._controls.orbit.camera(*world.picture_size)
@@ -221,10 +222,6 @@ class Browser:
         self._camera = self._controls.orbit.camera(*self._full)
         before, self._last_view = self._last_view, (self._camera.width, self._camera.world_to_camera.tobytes())
         return before != self._last_view
-
-    def _drawing(self, world: WorldView) -> float:
-        """Time of a frame that fewer pixels would shorten [s]: drawing, and waiting until the page takes a picture."""
-        return world.timings.latest("shadow", "render", "present") + self._waited
 
     def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
         """Pass the player's messages to the controls; returns the commands of keys and panel."""

@@ -267,14 +267,6 @@ class Controls:
         if self.measured is not None:
             press.world.tell("Click two points whose distance you know (Esc: none).")
 
-    def tilt_room_away(self, press: Press) -> list[Command]:
-        """Turn the room about the camera's horizontal axis."""
-        return [user_commands.TurnRoom(rotation_step(press.camera.world_to_camera[0, :3], step=ROOM_STEP))]
-
-    def tilt_room_towards(self, press: Press) -> list[Command]:
-        """Turn the room about the camera's horizontal axis, the other way."""
-        return [user_commands.TurnRoom(rotation_step(press.camera.world_to_camera[0, :3], -1.0, step=ROOM_STEP))]
-
     def toggle_menu(self, press: Press) -> None:
         """Show the menu of scenes, or hide it."""
         self.menu = not self.menu
@@ -307,15 +299,12 @@ class Controls:
         self._preferences.set(self._bookmarks_key, self._bookmarks)
         press.world.tell(f"This view is kept under {digit}.")
 
-    def tilt_away(self, press: Press) -> list[Command]:
-        """Turn a body about the camera's horizontal axis."""
-        return [self._aimed(user_commands.Rotate(None, rotation_step(press.camera.world_to_camera[0, :3])), press)]
-
-    def tilt_towards(self, press: Press) -> list[Command]:
-        """Turn a body about the camera's horizontal axis, the other way."""
-        return [
-            self._aimed(user_commands.Rotate(None, rotation_step(press.camera.world_to_camera[0, :3], -1.0)), press)
-        ]
+    def tilt(self, press: Press) -> list[Command]:
+        """Tilt a body, or with Ctrl the room, about the camera's horizontal axis: away by a comma, else towards it."""
+        axis, sign = press.camera.world_to_camera[0, :3], 1.0 if press.name.endswith("comma") else -1.0
+        if press.name.startswith("ctrl+"):
+            return [user_commands.TurnRoom(rotation_step(axis, sign, step=ROOM_STEP))]
+        return [self._aimed(user_commands.Rotate(None, rotation_step(axis, sign)), press)]
 
     def place_light(self, world: WorldView, u: float, v: float, camera: Camera) -> list[Command]:
         """While its key is down, the light follows the cursor at the depth that it has."""

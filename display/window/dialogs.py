@@ -28,11 +28,6 @@ FILTERS = ["Bodies, rooms and states", " ".join(f"*{suffix}" for suffix in (*SPL
 LINUX_DIALOGS = ("zenity", "kdialog", "qarma", "matedialog")  # programs that portable_file_dialogs starts
 
 
-def has_system_dialog() -> bool:
-    """True if the system can show a dialog to choose a file."""
-    return not sys.platform.startswith("linux") or any(map(shutil.which, LINUX_DIALOGS))
-
-
 def begin_dialog(name: str, width: float, *, foot: bool = False) -> None:
     """Begin an ImGui window without a title, `width` [px] wide, in the middle or (`foot`) at the lower edge."""
     from imgui_bundle import imgui
@@ -73,7 +68,7 @@ class OpenDialog:
     def ask(self) -> None:
         """Let the user choose a file."""
         folder = self._preferences.get("folder", PathText, "") or os.getcwd()
-        if has_system_dialog():
+        if not sys.platform.startswith("linux") or any(map(shutil.which, LINUX_DIALOGS)):
             from imgui_bundle import portable_file_dialogs as dialogs
 
             self._system = dialogs.open_file(TITLE, folder, FILTERS)

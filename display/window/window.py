@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from time import perf_counter
 
-import numpy as np
-
 from core.camera import project
 from core.errors import Cancelled
 from core.vocabulary import BodyState
@@ -262,11 +260,6 @@ class Window:
         left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
         return (x - left) / width * self._camera.width, (y - top) / height * self._camera.height
 
-    def _to_screen(self, point: np.ndarray) -> tuple[float, float] | None:
-        """Screen coordinates of a point in the world, None behind the camera."""
-        at = project(self._camera, point)
-        return None if at is None else self._from_picture(at)
-
     def _from_picture(self, at: tuple[float, float]) -> tuple[float, float]:
         """Screen coordinates of picture pixels: the inverse of `_to_picture`."""
         left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
@@ -329,9 +322,10 @@ class Window:
         """Draw a ring around the gripped point, and the hand for a cursor."""
         from imgui_bundle import imgui
 
-        at = self._to_screen(self._controls.hand.position)
+        at = project(self._camera, self._controls.hand.position)
         if at is None:
             return
+        at = self._from_picture(at)
         draw_list, scale = imgui.get_background_draw_list(), self._surface.scale
         draw_list.add_circle(at, 9 * scale, imgui.get_color_u32((0.0, 0.0, 0.0, 0.5)), 0, 4 * scale)
         draw_list.add_circle(at, 9 * scale, imgui.get_color_u32(ACCENT), 0, 2 * scale)

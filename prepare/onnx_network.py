@@ -1,4 +1,4 @@
-"""Networks of the user, ONNX files run by OpenCV: for the borders of objects, and for what they hid."""
+"""ONNX networks that the user brings, run by OpenCV: for the borders of objects, and for inpainting."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _reason(error: Exception) -> str:
 
 
 class MaskNetwork:
-    """A cut (picture_cut.Cut) by a network, in place of GrabCut.
+    """A network that refines the border of an object in place of GrabCut (mask_propagation.Cut).
 
     The network's inputs are `image` (1, 3, 512, 512) float32 RGB in 0..1, a crop around the object, and `hints`
     (1, 3, 512, 512) float32: how likely a pixel is inside by the geometry, 1 where it is surely inside, 1 where it is

@@ -1,4 +1,4 @@
-"""The patch of new Gaussians over a hole: seeded on its surfaces, and trained with all others frozen; its quality."""
+"""The patch of new Gaussians that closes a hole: seeded on its surfaces, trained with all others frozen; its PSNR."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PSNR_MAX = 99.0  # [dB] reported for equal pictures
 
 
 def seed_patch(texture: SurfaceTexture, background: Gaussians, degree: int) -> Gaussians:
-    """Gaussians over the hole of a surface in its colours, spaced like the background's on its known part."""
+    """Gaussians over the hole of a surface, in its colours and as dense as the background is on the known part."""
     spacing = _spacing(texture, background)
     extent = texture.texel * np.array(texture.hole.shape[::-1])
     steps = np.floor(extent / spacing).astype(int)
@@ -57,7 +57,7 @@ def _spacing(texture: SurfaceTexture, background: Gaussians) -> float:
 
 
 def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Training target of a view: colour (H, W, 3), the hole's pixels and those that count, (H, W) bool."""
+    """What a view should show: colour (H, W, 3), and masks (H, W) of the hole and of the pixels to train on."""
     c = view.camera
     y, x = np.mgrid[: c.height, : c.width]
     rays = np.stack([(x + 0.5 - c.cx) / c.fx, (y + 0.5 - c.cy) / c.fy, np.ones(x.shape)], axis=-1)
@@ -85,7 +85,7 @@ def train_patch(
     progress: Progress,
     steps: int,
 ) -> Gaussians:
-    """The patch after training to the targets, with the background frozen."""
+    """Train the patch on the targets, with the background frozen, and return it."""
     from prepare.train.trainer import Trainer, TrainOptions
 
     start = concatenate([background, patch])
@@ -110,8 +110,8 @@ def train_patch(
 
 @dataclass(frozen=True)
 class Comparison:
-    """Pictures of a view, (H, W, 3) float32: before and after, and the truth or None; and its pixels (H, W) bool:
-    that the object covered, and of the hole."""
+    """Pictures (H, W, 3) float32 of a view before and after inpainting and, if known, of the truth; masks (H, W) of
+    the pixels that the object covered and of those of the hole."""
 
     view: HoleView
     before: np.ndarray
@@ -128,7 +128,7 @@ def compare(
     after: Gaussians,
     truths: Sequence[Photograph | None],
 ) -> list[Comparison]:
-    """Each view of a hole before and after; `truths`: photographs without the object, one a camera, or empty."""
+    """Draw each view of a hole before and after. `truths`: photographs without the object, one per camera, or none."""
     cameras = [v.camera for v in views]
     drawings = [BlendingWeights(g, cameras) for g in (before, after)]
     found = []
@@ -143,7 +143,7 @@ def compare(
 
 
 def cut_out(photograph: Photograph, view: HoleView) -> np.ndarray:
-    """The part of a photograph that a view shows, in its size, (H, W, 3) float32."""
+    """The part of a photograph that a view shows, resized to the view, (H, W, 3) float32."""
     cut, whole = view.camera, photograph.camera
     sx, sy = cut.fx / whole.fx, cut.fy / whole.fy
     x, y = round(whole.cx - cut.cx / sx), round(whole.cy - cut.cy / sy)

@@ -50,7 +50,7 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class HoleView:
-    """A view without the object, and of the object alone: float32 pictures of the size of `camera`, a cut-out.
+    """Float32 pictures, of the size of `camera`, of the scene without the object and of the object alone.
 
     camera                      cut out of camera number `index` of those that were given
     color, alpha, depth         of the background: RGB premultiplied, opacity, and camera z [m]
@@ -101,7 +101,7 @@ def draw_views(
 
 
 def within_object(background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress) -> np.ndarray:
-    """Mask (N,) of Gaussians around an object that appear almost only within its silhouettes: no camera saw them."""
+    """Mask (N,) of Gaussians that appear almost only within an object's silhouettes: they lie inside it, unseen."""
     from prepare.room_capture.contributions import reduced
 
     sums = BlendingWeights(background)
@@ -118,7 +118,8 @@ def within_object(background: Gaussians, views: list[HoleView], ball: Surroundin
 
 
 def image_positions(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (..., 2) float32 of points (..., 3) for cv2.remap, far outside behind the camera; their depth z [m]."""
+    """Positions (..., 2) float32 for cv2.remap of points (..., 3), and their depths [m]. Points behind the camera get
+    positions far outside of the picture."""
     x, y, z = camera.projected(points)
     at, ahead = np.stack([x, y], axis=-1) - 0.5, z > 1e-9
     return np.where(ahead[..., None], at, -1e6).clip(-1e6, 1e6).astype(np.float32), z
@@ -138,7 +139,7 @@ def nearest_pixels(picture: np.ndarray, at: np.ndarray, outside: float) -> np.nd
 
 
 def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
-    """The camera cut to the surroundings of an object, reduced to SIDE; None if it does not show them."""
+    """Crop a camera to the surroundings of an object, at most SIDE wide; None if it does not show them."""
     p = camera.world_to_camera[:3, :3] @ ball.centre + camera.world_to_camera[:3, 3]
     reach = REACH * ball.radius
     if p[2] < -reach:

@@ -28,19 +28,19 @@ SEEN_MIN = 50  # pixels of the object in all views; with fewer it counts as unse
 
 
 class NoSurface(BadInput):
-    """An object touches no surface that what is behind it could belong to."""
+    """No surface was found that the object stands on or leans against, so nothing tells what is behind it."""
 
 
 @dataclass(frozen=True)
 class Hole:
     """The hole that an object leaves behind.
 
-    background  what stays, without Gaussians that no camera saw behind the object
-    dropped     number of those
-    removed     the object
+    background  the remaining Gaussians
+    dropped     number of Gaussians inside the object, which no camera saw and which are left out
+    removed     Gaussians of the object
     views       of the scene without the object, and of the object alone
     support     texture of the surface that the object stands on
-    textures    of the support surfaces that have a hole, not painted yet; empty: cameras saw everything behind it
+    textures    of the support surfaces that have a hole, not painted yet; empty if cameras saw everything behind it
     """
 
     background: Gaussians
@@ -69,17 +69,17 @@ def inpaint(
     steps: int = STEPS,
     progress: Progress = no_progress,
 ) -> Gaussians:
-    """The background and, where no camera saw behind the removed Gaussians, a patch of new ones after it.
+    """Remove an object from a splat: returns the background, followed by a patch where no camera saw behind the object.
 
-    The background's Gaussians stay as they are, bit for bit, except for their colours in the object's shadow, and that
-    those inside the object, which no camera saw, are left out.
+    The background's Gaussians stay as they are, bit for bit, but for their colours in the object's shadow; those inside
+    the object, which no camera saw, are dropped.
 
-    others    Gaussians of other objects that are removed as well: what they hid was not seen either
-    standing  objects that cast shadows on the background, too, in addition to those in it that have an id
-    cameras   of the photographs, in the frame of the Gaussians; None: there are none, and the hole is whatever is empty
-              when the object's place is rendered from all sides
+    others    Gaussians of other objects that are removed, too: what they hid was not seen either
+    standing  other objects that cast shadows on the background, besides those with an id in it
+    cameras   of the photographs, in the frame of the Gaussians; without any (None) the hole is what is empty when the
+              object's place is rendered from all sides
     painter   fills a picture's hole
-    progress  is told of STAGES
+    progress  is called with STAGES
 
     Taichi must have been started. Raises BadInput, naming the object, if it has no support or is not seen.
     """
@@ -96,9 +96,9 @@ def in_support(
     others: Gaussians | None = None,
     progress: Progress = no_progress,
 ) -> np.ndarray:
-    """Mask (N,) of an object's Gaussians that lie in the surface that it stands on: its masks took them along.
+    """Mask (N,) of an object's Gaussians that belong to the surface it stands on: its masks covered them.
 
-    For the arguments see `inpaint`.
+    Arguments as of `inpaint`.
     """
     none = np.zeros(len(removed), bool)
     if len(removed) < OBJECT_MIN or not len(background):
@@ -117,7 +117,7 @@ def in_support(
 def without_support(
     background: Gaussians, removed: Gaussians, cameras: list[Camera] | None, **options
 ) -> tuple[Gaussians, Gaussians]:
-    """The background with what the object took along of its support, and the object without it. See `in_support`."""
+    """The background with the Gaussians of `in_support`, and the object without them."""
     part = in_support(background, removed, cameras, **options)
     own = removed.select(part)
     return concatenate([background, replace(own, object_id=np.zeros_like(own.object_id))]), removed.select(~part)
@@ -132,7 +132,7 @@ def find_hole(
     others: Gaussians | None = None,
     progress: Progress = no_progress,
 ) -> Hole:
-    """The hole that the removed Gaussians leave behind. Raises BadInput, see `inpaint`."""
+    """Find the hole that an object leaves behind. Arguments and errors as of `inpaint`."""
     if len(removed) < OBJECT_MIN:
         raise BadInput(f"{name}: only {len(removed)} Gaussians; an object has at least {OBJECT_MIN}")
     if not len(background):
@@ -170,16 +170,16 @@ def textures_around(
 
 
 def with_hole_first(textures: list[SurfaceTexture]) -> list[SurfaceTexture]:
-    """The textures in the order in which they may carry the object: those with a hole, and with its rim known, first.
+    """Sort textures by how likely they carry the object: those with a hole, and with its rim known, first.
 
-    A remainder of the object's own side in the background touches it more than what it stands on does, but hides
-    nothing, or ends beside it.
+    Remains of the object's own side in the background touch it more than the surface it stands on does, but have no
+    hole, or end beside it.
     """
     return sorted(textures, key=lambda t: (not t.hole.any(), -min(t.rim, RIM_KNOWN)))
 
 
 def take_shadow(hole: Hole, standing: Gaussians | None = None, progress: Progress = no_progress) -> Hole:
-    """The hole with its surroundings as they are without the shadow of the removed object. See `inpaint`."""
+    """The hole in surroundings without the shadow of the removed object. `standing` as of `inpaint`."""
     progress("shadow", 0.0)
     others = [hole.background.select(hole.background.object_id > 0), *([] if standing is None else [standing])]
     shadow = find_shadow(hole.removed, concatenate(others), hole.support, hole.ball)
@@ -207,7 +207,7 @@ def paint_hole(hole: Hole, painter: Painter, progress: Progress = no_progress) -
 def close_hole(
     hole: Hole, textures: list[SurfaceTexture], steps: int = STEPS, progress: Progress = no_progress
 ) -> Gaussians:
-    """The background with the patch after it."""
+    """The background, followed by the trained patch."""
     if not textures:
         progress("patch", 1.0)
         return hole.background

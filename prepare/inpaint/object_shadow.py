@@ -1,12 +1,12 @@
-"""The shadow of an object on its surroundings, which goes with it.
+"""The shadow of an object on its surroundings, which is removed with the object.
 
-With light from all sides, a surface loses to things that stand in the way
+Under light from all directions w_j, occluders take from the light on a surface
 
-    d(x) = sum_j b_j max(0, n . w_j) (1 - V_j(x))                    of directions w_j, V_j: what passes by,
+    d(x) = sum_j b_j max(0, n . w_j) (1 - V_j(x)),                   V_j: the share of light that passes them,
 
-and shows E(x) = e - d(x). The object's shape gives V_j, as shadow maps from all w_j; e and b_j >= 0 are fitted to what
-the surface that it stands on shows around its foot. Without the object more of V_j passes; E without it over E with it
-is by how much its surroundings were darkened.
+and the surface shows E(x) = e - d(x). V_j follows from the object's shape, by shadow maps from all w_j; e and b_j >= 0
+are fitted to what the supporting surface shows around the object's foot. Colours are then multiplied by E without the
+object over E with it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ REACH = 5.0  # radii from the object's middle: where its shadow is taken away
 
 
 class ShadowMaps:
-    """The share of light from directions (J, 3) that a thing lets pass."""
+    """Shadow maps of an object: the share of light from directions (J, 3) that passes it."""
 
     def __init__(self, thing: Gaussians, directions: np.ndarray):
         ball = Surroundings.of(thing)
@@ -52,7 +52,7 @@ class ShadowMaps:
         drawing.destroy()
 
     def passing(self, points: np.ndarray, bias: float) -> np.ndarray:
-        """Light (N, J), 0..1, that reaches points (N, 3) past all that is farther than `bias` [m] in front of them."""
+        """Light (N, J), 0..1, that reaches points (N, 3); occluders nearer than `bias` [m] to a point do not count."""
         found = np.ones((len(points), len(self._cameras)), np.float32)
         for k, (camera, (depth, alpha)) in enumerate(zip(self._cameras, self._maps, strict=True)):
             at, z = image_positions(camera, points)
@@ -63,7 +63,7 @@ class ShadowMaps:
 
 @dataclass(frozen=True)
 class ObjectShadow:
-    """Light from directions (J, 3) that a surface loses (J,), as a share of all that reaches it in the open."""
+    """The light from directions (J, 3) that a surface loses (J,), relative to all that reaches it without occluders."""
 
     directions: np.ndarray
     lost: np.ndarray
@@ -84,7 +84,7 @@ class ObjectShadow:
 def find_shadow(
     removed: Gaussians, others: Gaussians | None, texture: SurfaceTexture, ball: Surroundings
 ) -> ObjectShadow | None:
-    """The shadow of an object among others on a surface; None where more of the surface is hidden than seen."""
+    """Fit the shadow of an object, among others, on a surface; None if more of the surface is hidden than seen."""
     y, x = np.nonzero(texture.known)
     if len(y) <= texture.hole.sum():
         return None
@@ -125,10 +125,10 @@ def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray) -> np.n
 
 
 def confirmed(shown: np.ndarray, left: np.ndarray, across: np.ndarray) -> float:
-    """Share of a shadow that shows between neighbours, 0..1: the median of their difference in the logarithm of what is
-    shown (N,), as a share of that in the light `left` (N,), both at places (N, 2).
+    """How far a fitted shadow is confirmed by differences between neighbouring places (N, 2), 0..1: the median ratio of
+    the difference of log `shown` (N,) to that of log `left` (N,).
 
-    Seen as a whole, dark wood around the foot before a white wall looks like a shadow; its edge is few neighbours.
+    As a whole, dark wood around the foot in front of a white wall looks like a shadow, but only few neighbours differ.
     """
     near = cKDTree(across).query(across, k=min(NEIGHBOURS + 1, len(across)))[1]
     color = np.log(np.maximum(shown, DARKEST * np.median(shown)))
@@ -149,7 +149,7 @@ def half_sphere(count: int) -> np.ndarray:
 
 
 def without_shadow(background: Gaussians, shadow: ObjectShadow, ball: Surroundings, views: list[HoleView]) -> Gaussians:
-    """The background in the colours that it has without the object; all else as it is."""
+    """The background in its colours without the object's shadow; all else stays."""
     near = np.linalg.norm(background.means - ball.centre, axis=1) < REACH * ball.radius
     part = background.select(near)
     if len(part) < 3:  # no normals
@@ -166,7 +166,7 @@ def without_shadow(background: Gaussians, shadow: ObjectShadow, ball: Surroundin
 
 
 def textures_without_shadow(textures: list[SurfaceTexture], shadow: ObjectShadow) -> list[SurfaceTexture]:
-    """The textures in the colours that they have without the object."""
+    """The textures in their colours without the object's shadow."""
     found = []
     for texture in textures:
         points = texture.surface.points(texture.places()[texture.known])
@@ -178,7 +178,7 @@ def textures_without_shadow(textures: list[SurfaceTexture], shadow: ObjectShadow
 
 
 def views_of(background: Gaussians, views: list[HoleView], progress: Progress) -> list[HoleView]:
-    """The views in the colours of another background of the same shape."""
+    """The views, with the colours of a background that differs in nothing else."""
     drawing, found = BlendingWeights(background, [v.camera for v in views]), []
     for k, view in enumerate(views):
         found.append(replace(view, color=drawing.picture(view.camera)[0]))

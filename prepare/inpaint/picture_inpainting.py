@@ -1,4 +1,4 @@
-"""Inpainting of pictures: from patches of their own known part, or by a LaMa network of the user's.
+"""Inpainting of pictures from patches of their known part (a LaMa network can take its place: prepare/onnx_network.py).
 
 Compared by PSNR over a hole of 60 px in pictures of 160 px, means over brick, grass, gravel, checks, boards, a wall
 and a table: OpenCV's inpaint 21.2 (Telea) and 21.4 dB (Navier-Stokes), the harmonic fill 22.7, the biharmonic one
@@ -47,7 +47,7 @@ def paint_from_patches(picture: np.ndarray, unknown: np.ndarray) -> np.ndarray:
 
 
 def _halved(picture: np.ndarray, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The picture in half its size; pixels are known where half of their own was."""
+    """The picture at half the size; a pixel is known if at least half of its pixels were."""
     size, share = (picture.shape[1] // 2, picture.shape[0] // 2), (~unknown).astype(np.float32)
     weight = cv2.resize(share, size, interpolation=cv2.INTER_AREA)
     total = cv2.resize(picture * share[..., None], size, interpolation=cv2.INTER_AREA)

@@ -89,9 +89,9 @@ def rim_points(views: list[HoleView], ball: Surroundings, rng: np.random.Generat
 def support_surfaces(
     views: list[HoleView], removed_means: np.ndarray, ball: Surroundings, rng: np.random.Generator
 ) -> list[SupportSurface]:
-    """Planes at the object that have it, and most cameras, on one side; the one it touches first, [] if there is none.
+    """Planes that an object touches, with the object and most cameras on one side; the one it touches most comes first.
 
-    Points count by how near they are to the object: it stands on the slab at its feet, not on the larger ground below.
+    Points are weighted by nearness to the object: it stands on the slab at its feet, not on the larger ground below.
     """
     points, normals = rim_points(views, ball, rng)
     near = _nearness(points, removed_means, ball)
@@ -112,17 +112,17 @@ def support_surfaces(
 
 
 def _nearness(points: np.ndarray, others: np.ndarray, ball: Surroundings) -> np.ndarray:
-    """Weights (N,) of points by how near they are to others; a quarter at CONTACT, and soon nothing beyond."""
+    """Weights (N,) of points by their distance from others: 1 in contact, a quarter at CONTACT, soon 0 beyond."""
     return (1.0 + (cKDTree(others).query(points)[0] / (CONTACT * ball.radius)) ** 2) ** -2.0
 
 
 def part_of_surface(
     means: np.ndarray, surface: SupportSurface, ball: Surroundings, like: np.ndarray | bool = True
 ) -> np.ndarray:
-    """Mask (N,) of an object's Gaussians that lie in the surface that it stands on: its masks took them along.
+    """Mask (N,) of an object's Gaussians that belong to the surface it stands on: its masks covered them.
 
-    None if most of it lies there, as it is flat itself, or little does, as that is its own underside. `like`: those of
-    the surface's colours (N,); flat feet have others.
+    Empty if most of the object lies there (it is flat itself) or very little (its own underside). `like` (N,) selects
+    Gaussians in the surface's colours; flat feet of the object have others.
     """
     points = means.astype(np.float64)
     lying = np.abs(surface.local(points)[:, 2]) < FLAT * ball.radius
@@ -139,11 +139,11 @@ def normals_of(points: np.ndarray) -> np.ndarray:
 
 
 def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surroundings, rng):
-    """Origin, normal towards the object, and spread of the plane that explains most; None if no plane carries it.
+    """Origin, normal towards the object, and spread of the plane that explains most points; None if none carries it.
 
-    Sample consensus with a truncated square (MSAC), of planes through three points and planes like these that the
-    object touches; a plane counts by the share of the object's contact at it, too. Then weighted least squares,
-    to the object's points as well: its masks may have taken along most of the surface that it stands on.
+    Sample consensus with a truncated quadratic (MSAC) over planes through three points, and over the same planes moved
+    to where they touch the object; the score also counts the object's contact. Then weighted least squares, including
+    the object's points: its masks may cover most of the surface that it stands on.
     """
     flat = FLAT * ball.radius
     some = object_points[:: max(1, len(object_points) // OBJECT_POINTS)]
@@ -266,9 +266,9 @@ def texture_of(
 
 
 def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
-    """Mask (H, W) of where a surface is, seen or not, that was seen to be (`known`) and to end (`empty`).
+    """Mask (H, W) of a surface that was seen in `known` and seen to be absent in `empty`, continued to unseen texels.
 
-    Its edge goes on where nothing was seen as it runs beside it: the zero of a thin plate through signed distances.
+    Its edge is continued as the zero of a thin-plate spline through signed distances.
     """
     if not known.any() or not empty.any():
         return np.full(known.shape, known.any())
@@ -291,8 +291,8 @@ def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Seen:
-    """Texels (H, W) of what all views show: the surface is known, or ends; the object covered it, and nothing was drawn
-    where it should be then; the colour (H, W, 3) of what shows."""
+    """What all views show, masks of texels (H, W): the surface is known; is absent; was covered by the object; and was
+    lacking behind the object. The colour (H, W, 3) is that of known texels."""
 
     known: np.ndarray
     empty: np.ndarray
@@ -302,9 +302,9 @@ class _Seen:
 
 
 def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> _Seen:
-    """Observations of the surface's points (H, W, 3) by the views, within a tolerance [m].
+    """Combine what the views show at points (H, W, 3) of the surface, within a tolerance [m].
 
-    The colour is that of the view that shows a texel largest and least slanted.
+    The colour is taken from the view that shows a texel largest and least slanted.
     """
     shape = texture.hole.shape
     looking, shown, through, covered, lacking = (np.zeros(shape, np.int32) for _ in range(5))
@@ -329,8 +329,8 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
 
 @dataclass(frozen=True)
 class _Look:
-    """Classes of the texels that a view looks at: the surface, something behind it, the object before it (and nothing
-    where the surface should be then); how large it is seen, and the pixels' places."""
+    """What one view shows, masks of texels (H, W): in the picture; the surface; something behind it; the object in
+    front of it; and no surface behind the object. `merit` is how large a texel appears, `at` its pixel."""
 
     inside: np.ndarray
     shows: np.ndarray
@@ -376,7 +376,7 @@ def _footprint(view: HoleView, ball: Surroundings) -> float:
 
 
 def shows_colors(texture: SurfaceTexture, colors: np.ndarray) -> np.ndarray:
-    """Mask (N,) of the RGB colours (N, 3) that a surface shows, in any shade."""
+    """Mask (N,) of the RGB colours (N, 3) that occur on a surface, in any shade."""
     shown = texture.color[texture.known].astype(np.float64)
     if not len(shown):
         return np.zeros(len(colors), bool)

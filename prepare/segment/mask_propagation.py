@@ -1,4 +1,4 @@
-"""Marks in one or more photographs, carried to all views of a capture through its geometry, and cut out by colours."""
+"""Masks of marked objects in all views of a capture: marks spread through its geometry, borders follow colours."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ VOTERS, VOTE_REACH = 10, 0.02  # nearest views that vote, and how far around the
 
 
 def grab_cut(picture: np.ndarray, likely: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """The object (H, W) bool by GrabCut (Rother et al. 2004): sure pixels stay, the others go where colours suit."""
+    """Cut out an object (H, W) bool by GrabCut (Rother et al. 2004): sure pixels stay, colours decide on the others."""
     import cv2
 
     mask = np.where(likely > 0.5, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
@@ -74,7 +74,7 @@ def cut_objects(picture: np.ndarray, likely: np.ndarray, unsure: np.ndarray, rea
 
     likely  probability (H, W, K + 1) of the background and each object
     unsure  (H, W) bool, pixels in which the colours decide
-    reach   [px] around an object to which its pixels are limited, but for those in which it is disputed
+    reach   [px] by which an object may grow, except in disputed pixels
     """
     import cv2
 
@@ -187,7 +187,7 @@ class MarkPropagation:
         return max(2, round(part * float(np.hypot(*self.depths[0].shape))))
 
     def _with_strokes(self, k: int, likely: np.ndarray) -> np.ndarray:
-        """Probabilities (H, W, K + 1) with those of the user's strokes in view `k`."""
+        """Probabilities (H, W, K + 1), set to 1 under strokes in view `k`."""
         for label, strokes in self._strokes.get(k, ()):
             likely[strokes] = 0.0
             likely[strokes, label] = 1.0
@@ -205,7 +205,7 @@ class MarkPropagation:
         return ids
 
     def voted(self, k: int, ids: Sequence[np.ndarray]) -> np.ndarray:
-        """Probability (H, W, K + 1) of the labels in view `k`: what the masks of it and of its neighbours say."""
+        """Probability (H, W, K + 1) of the labels in view `k` by a vote of its mask and those of its neighbours."""
         import cv2
 
         depth, own, camera = self.depths[k], ids[k], self.cameras[k]
@@ -286,7 +286,7 @@ class MarkPropagation:
         return lens.undistort_points(points) * (camera.width / width, camera.height / height)
 
     def _marked_points(self) -> dict[str, np.ndarray]:
-        """Points (N, 3) of each object under its strokes, or where a cut within its boxes finds it."""
+        """Points (N, 3) of each object: under its strokes, or where GrabCut finds it in its boxes."""
         places: dict[str, list] = {name: [] for name in self.names}
         for k in range(len(self.cameras)):
             drawn = {label: mask for label, mask in self._strokes.get(k, ()) if label}
@@ -305,7 +305,7 @@ class MarkPropagation:
         return found
 
     def _cut_in_box(self, k: int, box: np.ndarray) -> np.ndarray:
-        """Sure pixels (H, W) bool of an object in a box: a cut by colours, away from its border."""
+        """Sure pixels (H, W) bool of an object in a box: GrabCut, away from the border."""
         import cv2
 
         picture = self.photographs[k].pixels
@@ -328,7 +328,7 @@ class MarkPropagation:
         return np.unique(index[np.isfinite(distance)])
 
     def _apply_boxes(self) -> None:
-        """Remove an object from all surfaces that a view with a box of it shows outside the box."""
+        """Remove an object from all surfaces that a view shows outside of its boxes."""
         for k, boxes in self._forbidden.items():
             seen, row, column = self._visible(k, self.cloud.points, self.cloud.spacing)
             for label, outside in boxes.items():
@@ -337,7 +337,7 @@ class MarkPropagation:
                 self.labels[gone, label] = 0.0
 
     def _likely(self, k: int) -> np.ndarray:
-        """Probability (H, W, K + 1) of the labels at the pixels of a view: of the cloud at their points."""
+        """Probability (H, W, K + 1) of the labels at the pixels of a view, interpolated in the cloud."""
         depth, cloud = self.depths[k], self.cloud
         likely = np.zeros((*depth.shape, self.labels.shape[1]))
         likely[..., 0] = 1.0
@@ -370,7 +370,7 @@ class MarkPropagation:
 
 
 def _one_surface(depth: np.ndarray) -> np.ndarray:
-    """Mask (N,) bool of the largest group of depths (N,) without a gap: a stroke may touch what is seen beside it."""
+    """Mask (N,) bool of the largest group of depths (N,) without a gap: a stroke may slip off the object."""
     order = np.argsort(depth)
     group = np.zeros(len(depth), int)
     group[order[1:]] = np.cumsum(depth[order[1:]] > GAP * depth[order[:-1]])
@@ -404,7 +404,7 @@ def propagate_marks(
 ) -> Masks:
     """Masks of the marked objects in all views; see MarkPropagation. Raises BadInput.
 
-    splats  trained on the capture, in its world (Taichi must be running); None: the capture's sparse points must do
+    splats  trained on the capture, in its world (Taichi must be running); None: use the capture's sparse points
     """
     depths = view_depths(capture, [p.camera for p in photographs], splats, report)
     propagation = MarkPropagation(capture, photographs, depths, coarse=splats is None, cut=cut)

@@ -27,9 +27,9 @@ LEARNING_STEPS = 400  # of labels alone; some 50 that see a Gaussian move its la
 
 
 def masks_beside(capture: Capture, report: Report) -> Path | None:
-    """The folder masks/ of a capture with files in it, None if there is none.
+    """The folder masks/ of a capture, or None if it is missing or empty.
 
-    None, too, if transforms.json names it for the pixels that count; `report` takes a line then.
+    None also if transforms.json uses it for the pixels that count, which is reported.
     """
     beside = capture.folder / "masks"
     if not beside.is_dir() or not any(p.is_file() for p in beside.iterdir()):
@@ -41,10 +41,10 @@ def masks_beside(capture: Capture, report: Report) -> Path | None:
 
 
 def masks_of(capture: Capture, folder: Path | None, report: Report) -> tuple[Capture, Masks | None]:
-    """The capture, and the masks of its objects: those in `folder`, or in masks/ of the capture if they are such.
+    """The capture and the masks of its objects, in `folder` or in masks/ of the capture.
 
-    Masks that transforms.json names select the pixels that count; they are object masks only if their folder is given,
-    and then all pixels count. `report` takes a line if masks/ is not used. Raises BadInput, for a given folder only.
+    Masks that transforms.json names select the pixels that count; they are object masks only if `folder` names them,
+    and then all pixels count. It is reported if masks/ is not used. Raises BadInput for a given folder only.
     """
     found = folder or masks_beside(capture, report)
     if found is None:
@@ -87,8 +87,8 @@ def learned_objects(
     names: Sequence[str],
     progress: Progress = no_progress,
 ) -> Gaussians:
-    """Trained Gaussians with ids and names of the objects in the photographs' masks, from a short further training
-    with L_seg: their number stays, and those at the objects' borders fit these then. Taichi must be running."""
+    """Learn the objects in the photographs' masks by a short further training with L_seg: returns the Gaussians with
+    ids and names. Their number stays; those at the borders of objects adapt. Taichi must be running."""
     options = TrainOptions(
         steps=LEARNING_STEPS, cap=len(g), degree=g.sh_degree, sort=g.sort or "radial", free_space=False, resets=False
     )
@@ -105,11 +105,11 @@ def learned_objects(
 
 
 def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np.ndarray:
-    """Ids (N,) after a vote of each Gaussian's nearest neighbours, weighted by opacity: removes small islands.
+    """Ids (N,) after a vote among each Gaussian's nearest neighbours, weighted by opacity, which removes small islands.
 
-    evidence  pixels of the masks that saw each, (N,). A Gaussian seen as much as its neighbours on average has as many
-              votes for itself as it has neighbours. So one that no mask has seen, inside an object or faint, follows
-              them, and a large one of a wall is not outvoted by many small ones in front of it.
+    evidence  mask pixels in which each Gaussian was visible, (N,). One that is as visible as its neighbours has as many
+              votes as they have together: unseen ones, inside an object or faint, follow their neighbours, and a large
+              one of a wall is not outvoted by many small ones in front of it.
     """
     near = cKDTree(g.means).query(g.means, k=min(NEIGHBOURS + 1, len(g)), workers=-1)[1].reshape(len(g), -1)
     weights, rows = g.opacities[near], np.arange(len(g))
@@ -122,8 +122,8 @@ def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np
 
 
 def _islands(near: np.ndarray, ids: np.ndarray, count: int) -> np.ndarray:
-    """Mask (N,) of pieces of objects with fewer Gaussians than voters: in the room far behind an object, they show
-    through its pixels. The largest piece of an object is never one. Neighbours `near` (N, K) link the pieces."""
+    """Mask (N,) of pieces of objects with fewer Gaussians than voters, but the largest piece of each object: they lie
+    far behind it and show through its pixels. Pieces are linked by neighbours `near` (N, K)."""
     i, j = np.nonzero(ids[near] == ids[:, None])
     links = coo_matrix((np.ones(len(i), np.uint8), (i, near[i, j])), shape=(len(ids), len(ids)))
     piece = connected_components(links, directed=False)[1]
@@ -137,9 +137,9 @@ def _islands(near: np.ndarray, ids: np.ndarray, count: int) -> np.ndarray:
 
 
 def object_ious(trainer, photographs: list[Photograph], ids: np.ndarray) -> dict[str, float]:
-    """Intersection over union of what Gaussians with these ids show and of the masks, over all photographs, by name.
+    """Intersection over union of the rendered ids and the masks over all photographs, by object name.
 
-    Objects without any mask are left out.
+    Objects without a mask are left out.
     """
     count = len(trainer.objects)
     both, either, true = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
@@ -154,13 +154,13 @@ def object_ious(trainer, photographs: list[Photograph], ids: np.ndarray) -> dict
 
 
 def split(g: Gaussians) -> dict[str, Gaussians]:
-    """The Gaussians of each named object that has any, then those of the background; ids stay."""
+    """The Gaussians of each object and of the background, by name, without empty parts; ids stay."""
     parts = {name: g.select(g.object_id == k) for k, name in enumerate(g.objects, 1)}
     parts[BACKGROUND] = g.select((g.object_id == 0) | (g.object_id > len(g.objects)))
     return {name: part for name, part in parts.items() if len(part)}
 
 
 def part_file(out: Path, name: str) -> Path:
-    """File of a part beside that of the whole: room.ply has room_bear.ply."""
+    """File of a part, beside that of the whole: room_bear.ply for room.ply."""
     stem = out.name.split(".", 1)[0] if out.name.lower().endswith(".compressed.ply") else out.stem
     return out.with_name(f"{stem}_{name}{out.name[len(stem) :]}")

@@ -121,7 +121,7 @@ def overlay_of(segmented: SegmentedSplat, marks: SplatMarks) -> dict[str, np.nda
 
 
 class LiveSelection:
-    """Draws a splat with the objects in colours. Taichi must be running.
+    """Selects the marked objects of a splat again as marks change, and draws them in colours. Taichi must be running.
 
     ids  (N,) uint16 of the objects that the Gaussians are selected for, 0: none
     """
@@ -133,9 +133,9 @@ class LiveSelection:
         self._seeds: dict[tuple, ViewSeeds] = {}
 
     def select(self, marks: SplatMarks, numbers: Mapping[str, int]) -> dict[str, int]:
-        """Select all objects with marks inside, in their order; returns how many Gaussians each has.
+        """Select all objects with marks inside, in order; returns the number of Gaussians of each.
 
-        `numbers`, 1, 2, ..., are the ids. Raises BadInput.
+        numbers  ids of the objects by name, 1, 2, ... Raises BadInput if no Gaussian lies under an object's marks.
         """
         objects = {n: v for n, v in marks.marks.objects.items() if any(m.inside or m.boxes for m in v.values())}
         seeds = [
@@ -172,8 +172,10 @@ class LiveSelection:
 
 
 def trimmed(gaussians: Gaussians, selected: np.ndarray) -> tuple[Gaussians, np.ndarray, int]:
-    """The Gaussians with those cut in two that straddle the border of a selection (N,) bool; the selection of these,
-    and how many were cut. What is cut off is appended."""
+    """Cut the Gaussians that straddle the border of a selection (N,) bool in two; the parts beyond it are appended.
+
+    Returns all Gaussians, the selection among them, and how many were cut.
+    """
     which, normal, distance = straddlers(gaussians, selected)
     if not len(which):
         return gaussians, selected, 0
@@ -187,8 +189,8 @@ def trimmed(gaussians: Gaussians, selected: np.ndarray) -> tuple[Gaussians, np.n
 
 
 def straddlers(gaussians: Gaussians, selected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Index (K,) of the Gaussians that straddle, unit normals (K, 3) of the border to their own side, and the distance
-    (K,) of the border from their means in standard deviations."""
+    """Gaussians that straddle the border of a selection: their indices (K,), unit normals (K, 3) of the border towards
+    their own side, and its distance (K,) from their means in standard deviations."""
     nothing = np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0)
     if not selected.any() or selected.all():
         return nothing
@@ -239,8 +241,8 @@ def fitted_planes(offset: np.ndarray, side: np.ndarray, weight: np.ndarray) -> t
 
 
 def halves(g: Gaussians, normal: np.ndarray, distance: np.ndarray) -> tuple[Gaussians, Gaussians]:
-    """The parts of Gaussians on their own side of a plane each and beyond it: `normal` (K, 3) points to the own side,
-    the plane lies `distance` (K,) standard deviations from the mean. Their mass is kept."""
+    """Cut each Gaussian by a plane: the part on its own side, to which `normal` (K, 3) points, and the part beyond. The
+    plane lies `distance` (K,) standard deviations from the mean. The mass is kept."""
     return _part(g, normal, distance), _part(g, -normal, -distance)
 
 

@@ -1,12 +1,12 @@
 """Selection of an object's Gaussians in a splat, from marks on its pictures.
 
-The marks give seeds: Gaussians that are certainly inside or outside of the object.
-A random walk on the graph of neighbours says how easily each Gaussian is reached from the seeds. Of the sets of those
-that are reached more easily than others, the object is the one that is joined to the rest by the clearest border: by
-the least weight of edges for its size. Borders that no view shows cost next to nothing, so that an object that lies on
-its whole bottom is cut off as easily as one on three feet. Gaussians that no view shows then go with those most alike.
+Marks give seeds: Gaussians that are certainly inside or outside of the object. A random walk on the graph of neighbours
+tells how easily each Gaussian is reached from the seeds inside. Of the sets above a threshold of that probability, the
+object is the one with the clearest border: with the least weight of cut edges for its size. Edges that no view shows
+cost next to nothing, so that an object lying on its whole bottom is cut off as easily as one on three feet. Gaussians
+that no view shows then join the side that they are most alike with.
 
-In a large splat this is done twice: with some of the Gaussians, and with all of those along the border found.
+In a large splat this is done twice: with a thinned splat, and with all Gaussians along the border found.
 """
 
 from __future__ import annotations
@@ -56,17 +56,17 @@ WEAKEST = 1e-3  # least likeness along a border: none is free
 
 
 class ViewsAround:
-    """Views of Gaussians from all sides, drawn again and again: to start takes seconds. Taichi must be running.
+    """Draws Gaussians from all sides; kept between selections, as it takes seconds to start. Taichi must be running.
 
-    A Gaussian that no view shows, inside a thing or between it and what it stands on, looks like anything: training
-    leaves its colour to chance, and it is no evidence of where one thing ends and another begins.
+    A Gaussian that no view shows, inside an object or under it, has an arbitrary colour after training, and is no
+    evidence of where one object ends and another begins.
     """
 
     def __init__(self):
         self._room, self._weights = 0, None
 
     def shares(self, gaussians: Gaussians) -> np.ndarray:
-        """Share (VIEWS, N) float32, 0..1, of each Gaussian that each view shows: the rest is hidden by others."""
+        """Visible share (VIEWS, N) float32, 0..1, of each Gaussian in each view."""
         n = len(gaussians)
         self._load(gaussians)
         middle = 0.5 * (gaussians.means.min(axis=0) + gaussians.means.max(axis=0)).astype(np.float64)
@@ -103,7 +103,7 @@ class ViewsAround:
 
 
 def free_weights(means: np.ndarray, sigma: np.ndarray, opacities: np.ndarray, camera: Camera, way: np.ndarray):
-    """Weights (N,) [px] in the picture of a far camera with nothing in front of the Gaussians; it looks along -way.
+    """Blending weights (N,) [px] that unoccluded Gaussians have in the picture of a far camera that looks along -way.
 
     means (N, 3), sigma (N, 6) covariances, opacities (N,)
     The projection along a unit vector d has det Sigma_2D = d^T adj(Sigma) d and tr Sigma_2D = tr Sigma - d^T Sigma d;
@@ -176,9 +176,9 @@ def in_boxes(gaussians: Gaussians, camera: Camera, boxes: list[np.ndarray]) -> n
 
 
 class SplatSelection:
-    """Selects one object after another in a splat; each in its surroundings alone, however large the splat is.
+    """Selects one object after another in a splat, looking only at its surroundings. Taichi must be running.
 
-    Taichi must be running. `views` are drawn by another selection that is not used any more.
+    `views` may be passed on from another selection that is no longer used.
     """
 
     def __init__(self, gaussians: Gaussians, views: ViewsAround | None = None):
@@ -192,7 +192,7 @@ class SplatSelection:
         """The object's Gaussians (N,) bool.
 
         inside, outside  seeds (N,) bool: belong to the object; do not
-        barred           (N,) bool: cannot belong to it, but nobody has marked them
+        barred           (N,) bool: cannot belong to it, though not marked
         """
         barred = outside if barred is None else outside | barred
         inside = inside & ~barred
@@ -214,10 +214,10 @@ class SplatSelection:
         return out
 
     def _cut(self, near: Gaussians, own: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """The cut (N,) bool among some Gaussians by seeds (N,) bool.
+        """Cut some Gaussians by seeds (N,) bool; returns the inside (N,) bool.
 
-        Of many it is that of a thinned splat at first; then the Gaussians are cut whose cells it touches, with seeds
-        all over the next cells.
+        Many are first cut as a thinned splat; then the Gaussians of the cells at its border, with the cells beside
+        these as seeds.
         """
         if len(near) <= NODES:
             return self._whole_cut(near, own, others)[0]
@@ -244,7 +244,7 @@ class SplatSelection:
     def _whole_cut(self, near: Gaussians, own: np.ndarray, others: np.ndarray, shares=None):
         """Cut all of these Gaussians at once.
 
-        Returns the cut (N,) bool, both ends of the edges (E,), and `shares` (V, N), which the views tell if not given.
+        Returns the inside (N,) bool, both ends of the edges (E,), and the visible `shares` (V, N) if not given.
         """
         low, high, likeness = neighbour_edges(near)
         if shares is None:
@@ -296,7 +296,7 @@ class SplatSelection:
 
 
 def distances(points: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> tuple[np.ndarray, float]:
-    """Distances (N,) of points (N, 3) from the middle of the inner seeds, and the largest that an object may have.
+    """Distances (N,) of points (N, 3) from the middle of the seeds inside, and the largest one within an object.
 
     inside, outside  (N,) bool: the seeds
     """
@@ -306,9 +306,9 @@ def distances(points: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> tu
 
 
 def border_costs(low: np.ndarray, high: np.ndarray, likeness: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Costs (E,) of cutting the edges between Gaussians: their likeness, if any of the views shows both ends.
+    """Costs (E,) of cutting edges: the likeness of their ends, where a view shows both.
 
-    `shares` (V, N) are 1 for a Gaussian that a view shows.
+    shares  (V, N), visible share of each Gaussian in each view; 1 and more: fully visible
     """
     together = np.zeros(len(low), np.float32)
     for view in shares:

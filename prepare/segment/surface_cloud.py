@@ -56,7 +56,7 @@ def depths_of_splats(gaussians: Gaussians, cameras: list[Camera], report: Progre
 
 
 def depths_of_points(points: np.ndarray, cameras: list[Camera], report: Progress = no_progress) -> list[np.ndarray]:
-    """As `depths_of_splats`, of points (P, 3) alone: that of the nearest visible one in the picture."""
+    """As `depths_of_splats`, from points (P, 3): the depth of the nearest visible one in the picture."""
     depths = []
     for k, camera in enumerate(cameras):
         x, y, z = camera.projected(points)
@@ -94,7 +94,7 @@ class SurfaceCloud:
 
 
 def silhouettes(depth: np.ndarray) -> np.ndarray:
-    """Mask (H, W) bool of pixels beside a jump of depth, or without one."""
+    """Mask (H, W) bool of pixels beside a jump of depth, or without depth."""
     import cv2
 
     low = cv2.erode(depth, np.ones((3, 3), np.uint8))
@@ -109,7 +109,7 @@ def surface_cloud(
     radius: float,
     wanted: int = POINTS,
 ) -> SurfaceCloud | None:
-    """The cloud of about `wanted` points of what all views show within a ball; None if they show nothing there."""
+    """Sample what all views show within a ball by about `wanted` points; None if they show nothing there."""
     stride = max(1, int(np.ceil(np.sqrt(sum(d.size for d in depths) / SAMPLES_MAX))))
     points, colors, ways = [], [], []
     for camera, depth, picture in zip(cameras, depths, pictures, strict=True):
@@ -162,7 +162,7 @@ def spread(cloud: SurfaceCloud, seeds: np.ndarray, labels: int, behind: np.ndarr
 
 
 def _color_evidence(cloud: SurfaceCloud, likely: np.ndarray) -> np.ndarray:
-    """Evidence (P, labels) for each object, near it: of colours that the object has and its surroundings do not."""
+    """Evidence (P, labels) for each object near it: colours that the object has and its surroundings lack."""
     evidence, label = np.zeros_like(likely), likely.argmax(axis=1)
     index = np.ravel_multi_index((cloud.colors * (COLOR_BINS - 1e-6)).astype(int).T, (COLOR_BINS,) * 3)
     for k in range(1, likely.shape[1]):
@@ -183,7 +183,7 @@ def _color_evidence(cloud: SurfaceCloud, likely: np.ndarray) -> np.ndarray:
 
 
 def _connected(graph: csr_matrix, likely: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Probabilities without those connected parts of an object that hold none of its seeds."""
+    """The probabilities, with connected parts of an object that hold none of its seeds given to the background."""
     label, result = likely.argmax(axis=1), likely.copy()
     for k in range(1, likely.shape[1]):
         own = np.flatnonzero(label == k)

@@ -40,9 +40,9 @@ class Table:
 class Chart:
     """A drawing on two linear axes from zero, in the units of the data. `svg` gives it as text.
 
-    right, top        values at the right end of the x axis and at the top of the y axis
-    x_ticks, y_ticks  (value, label) along each axis
-    size              (width, height) [px]
+    right, top  values at the right end of the x axis and at the top of the y axis
+    x_ticks     (value, label) along the x axis
+    size        (width, height) [px]
     """
 
     LEFT, RIGHT, TOP, BOTTOM = 44, 14, 14, 28  # margins [px]
@@ -53,15 +53,12 @@ class Chart:
         top: float,
         *,
         x_ticks: Sequence[tuple[float, str]] = (),
-        y_ticks: Sequence[tuple[float, str]] = (),
         size: tuple[int, int] = (300, 190),
     ):
         self._right, self._top, self._size, self._parts = right or 1.0, top or 1.0, size, []
         self.line([(0, 0), (right, 0)], "#999")
         for value, label in x_ticks:
             self._text(self._x(value), size[1] - 8, label, "middle")
-        for value, label in y_ticks:
-            self._text(self.LEFT - 6, self._y(value) + 4, label, "end")
 
     def _x(self, value: float) -> float:
         return self.LEFT + (self._size[0] - self.LEFT - self.RIGHT) * value / self._right
@@ -77,11 +74,6 @@ class Chart:
         path = " ".join(f"{self._x(x):.1f},{self._y(y):.1f}" for x, y in points)
         self._parts.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{width:g}"/>')
 
-    def dot(self, x: float, y: float, colour: str, *, radius: float = 3.5, opacity: float = 1.0) -> None:
-        """Draw a dot; `radius` [px]."""
-        place = f'cx="{self._x(x):.1f}" cy="{self._y(y):.1f}" r="{radius:g}"'
-        self._parts.append(f'<circle {place} fill="{colour}" opacity="{opacity:g}"/>')
-
     def bar(self, start: float, end: float, height: float, colour: str) -> None:
         """Draw a bar from `start` to `end` along x, as high as `height` along y."""
         place = (
@@ -89,9 +81,9 @@ class Chart:
         )
         self._parts.append(f'<rect {place} height="{self._y(0) - self._y(height):.1f}" fill="{colour}"/>')
 
-    def label(self, x: float, y: float, text: str, *, anchor: str = "start") -> None:
-        """Write a text at a point; `anchor`: start, middle or end."""
-        self._text(self._x(x), self._y(y), text, anchor)
+    def label(self, x: float, y: float, text: str) -> None:
+        """Write a text that begins at a point."""
+        self._text(self._x(x), self._y(y), text, "start")
 
     def svg(self) -> str:
         """The drawing."""

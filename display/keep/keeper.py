@@ -174,14 +174,14 @@ def full_picture(world, size: tuple[int, int] | None) -> np.ndarray:
         world.resize(*now)
 
 
-def output_path(scene: str, ending: str, taken: Container[Path] = (), *, now: datetime | None = None) -> Path:
+def output_path(scene: str, ending: str, taken: Container[Path] = ()) -> Path:
     """Path of a new file, SCENE_TIME followed by `ending` (".png", "_camera.json").
 
     It is in the current folder, or in that of pictures if the current one is not writable. Neither a file that exists
     nor one of those `taken` has this name. Raises BadInput if neither folder is writable.
     """
     stem = re.sub(r"[^\w.-]+", "_", Path(scene).stem) or "scene"
-    name = f"{stem}_{(now or datetime.now()).strftime('%Y-%m-%d_%H-%M-%S')}{ending}"
+    name = f"{stem}_{datetime.now().strftime('%Y-%m-%d_%H-%M-%S')}{ending}"
     error: BadInput | None = None
     for folder in (Path.cwd(), pictures_folder()):
         path = unused_name(folder / name, taken)

@@ -27,12 +27,10 @@ def test_a_page_holds_its_pictures_and_escapes_its_texts():
 
 
 def test_a_chart_places_values_between_its_margins():
-    chart = Chart(10.0, 2.0, x_ticks=[(10.0, "ten")], y_ticks=[(2.0, "two")], size=(200, 100))
-    chart.dot(0.0, 2.0, "#111")
+    chart = Chart(10.0, 2.0, x_ticks=[(10.0, "ten")], size=(200, 100))
     chart.bar(0.0, 10.0, 1.0, "#222")
     root = ET.fromstring(chart.svg())
-    dot, bar = root.find("circle"), root.find("rect")
-    assert (float(dot.get("cx")), float(dot.get("cy"))) == (Chart.LEFT, Chart.TOP)
+    bar = root.find("rect")
     assert float(bar.get("height")) == (100 - Chart.TOP - Chart.BOTTOM) / 2
     assert float(bar.get("x")) + float(bar.get("width")) == 200 - Chart.RIGHT - 1
-    assert [text.text for text in root.findall("text")] == ["ten", "two"]
+    assert [text.text for text in root.findall("text")] == ["ten"]

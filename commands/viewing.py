@@ -126,7 +126,6 @@ def _drawn(gaussians, cameras: list[Camera], outputs: str, antialias: bool, sort
 
 def film_turntable(options: RenderOptions) -> None:
     """Film one turn around the splats: an MP4 of --frames pictures. Raises BadInput."""
-    from display.headless.headless import Progress
     from display.headless.video import Video
     from display.viewed_file import BACKGROUND, ViewedFile, camera_around
     from render.renderer import Renderer
@@ -143,13 +142,13 @@ def film_turntable(options: RenderOptions) -> None:
         renderer = Renderer(
             Splats(gaussians), width, height, antialias=options.antialias, sort=sort, background=BACKGROUND
         )
-        progress = Progress(options.frames)
+        line = ProgressLine()
         for k in range(options.frames):
             yaw = 2 * np.pi * k / options.frames
             renderer.render([camera_around(gaussians, width, height, yaw, elevation=np.radians(options.elevation))])
             video.write(pixels_of(renderer.picture))
-            progress.show(k + 1)
-        progress.end()
+            line.show(f"frame {k + 1} of {options.frames}")
+        line.end()
         video.close()
     seconds, count = time.perf_counter() - start, len(gaussians)
     print(

@@ -122,31 +122,47 @@ class Timings:
         return float(np.median(values)), float(values.max())
 
 
+class ProgressLine:
+    """A line of progress, renewed in place on a terminal; in a file there is a line every LOG_INTERVAL."""
+
+    def __init__(self, out: TextIO | None = None):
+        self._out = out or sys.stderr
+        self._interval = SHOW_INTERVAL if self._out.isatty() else LOG_INTERVAL
+        self.begin = self._written = perf_counter()
+
+    def show(self, text: str, now: float | None = None) -> None:
+        """Show a text, unless it is too soon after the last one."""
+        now = perf_counter() if now is None else now
+        if now - self._written >= self._interval:
+            self._written = now
+            print(f"\r{text}\033[K" if self._out.isatty() else f"{text}\n", end="", file=self._out, flush=True)
+
+    def end(self) -> None:
+        """Clear the line."""
+        if self._out.isatty() and self._written > self.begin:
+            print("\r\033[K", end="", file=self._out, flush=True)
+
+
 @contextmanager
 def start_progress(show: Callable[[str], None], out: TextIO | None = None) -> Iterator[None]:
     """While active, tell `show` and the terminal which kernel is being compiled, or read from the cache."""
-    out = out or sys.stderr
-    begin = perf_counter()
-    interval = SHOW_INTERVAL if out.isatty() else LOG_INTERVAL
-    shown, written = begin, begin
+    line = ProgressLine(out)
+    shown = line.begin
 
     def note(count: int) -> None:
-        nonlocal shown, written
+        nonlocal shown
         now = perf_counter()
-        text = f"Preparing kernel {count} of about {max(KERNELS, count)}, {now - begin:.0f} s"
+        text = f"Preparing kernel {count} of about {max(KERNELS, count)}, {now - line.begin:.0f} s"
         if now - shown >= SHOW_INTERVAL:
             shown = now
             show(text)
-        if now - written >= interval:
-            written = now
-            print(f"\r{text}\033[K" if out.isatty() else text, end="" if out.isatty() else "\n", file=out, flush=True)
+        line.show(text, now)
 
     try:
         with watch_compilation(note):
             yield
     finally:
-        if out.isatty() and written > begin:
-            print("\r\033[K", end="", file=out, flush=True)
+        line.end()
 
 
 def run_stats(world, frames: int) -> dict:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from time import perf_counter
@@ -10,11 +9,11 @@ from time import perf_counter
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from display.protocol import Frame, WorldView
+from display.timing import ProgressLine
 from scenes.scene import Scene
 
 FRAME_DT = 1 / 60  # [s]
 EYE_DISTANCE = 0.063  # [m] between the two eyes of a stereo pair, the adult mean
-PROGRESS_FRAMES = 120  # shorter runs show no progress
 
 
 class Headless:
@@ -53,16 +52,17 @@ class Headless:
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """The frames. The world may have begun with a state, in which time has passed."""
-        progress, begin = Progress(self.count), round(world.time / FRAME_DT)
+        line, begin = ProgressLine(), round(world.time / FRAME_DT)
         if world.wanted_view is not None:
             self._look(*world.wanted_view)
         try:
             for index in range(1, self.count + 1):
                 hands = world.scripted_hands((begin + index) * FRAME_DT) if self._scripted else []
                 yield Frame(FRAME_DT, index * FRAME_DT, self.cameras, hands)
-                progress.show(index)
+                rate = index / (perf_counter() - line.begin)
+                line.show(f"frame {index} of {self.count}, {rate:.1f} a second")
         finally:
-            progress.end()
+            line.end()
 
     def present(self, world: WorldView) -> None:
         """Mark the end of the frame, from the second on as the device ends it: the first compiles."""
@@ -78,29 +78,3 @@ def stereo_pair(camera: Camera) -> list[Camera]:
         matrix[0, 3] -= side * EYE_DISTANCE / 2
         eyes.append(replace(camera, world_to_camera=matrix))
     return eyes
-
-
-class Progress:
-    """Progress of a long run on stderr: a line that renews itself on a terminal, else one per tenth."""
-
-    def __init__(self, total: int, stream=None):
-        self.total, self._out = total, stream or sys.stderr
-        self._tty, self._begin, self._last, self._shown = self._out.isatty(), perf_counter(), 0.0, False
-
-    def show(self, done: int) -> None:
-        """`done` frames are finished."""
-        if self.total < PROGRESS_FRAMES:
-            return
-        now = perf_counter()
-        rate = done / (now - self._begin)
-        text = f"frame {done} of {self.total}, {rate:.1f} a second"
-        if self._tty and (now - self._last >= 1 or done == self.total):
-            print(f"\r{text}\033[K", end="", file=self._out, flush=True)
-            self._last, self._shown = now, True
-        elif not self._tty and done * 10 // self.total > (done - 1) * 10 // self.total:
-            print(text, file=self._out, flush=True)
-
-    def end(self) -> None:
-        """End the line."""
-        if self._shown:
-            print(file=self._out)

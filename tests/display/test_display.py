@@ -14,11 +14,10 @@ import pytest
 from assets.file_access import write_json
 from core.camera import look_at, perspective
 from core.errors import BadInput
-from display.headless.headless import Progress
 from display.panel import frame_lines
 from display.picture import fit, pixels_of, save_picture, side_by_side
 from display.protocol import Frame
-from display.timing import Timings, peak_memory_mb, run_stats
+from display.timing import ProgressLine, Timings, peak_memory_mb, run_stats
 from tests.support.fake_world import FakeWorld, fake_scene
 
 WIDTH, HEIGHT = 320, 180
@@ -168,22 +167,16 @@ def test_peak_memory_grows_with_what_is_held():
     assert peak_memory_mb() > before and block[-1] == 1
 
 
-@pytest.mark.parametrize("tty", [True, False])
-def test_progress_is_shown_on_long_runs_only(tty):
-    for total, expected in ((1000, 10), (20, 0)):
-        out = io.StringIO()
-        out.isatty = lambda: tty
-        progress = Progress(total, out)
-        progress._begin -= 1.0  # as if a second had passed
-        for k in range(total):
-            progress.show(k + 1)
-        progress.end()
-        text = out.getvalue()
-        assert ("1000 of 1000" in text) == (total == 1000)
-        if tty:
-            assert text.count("\r") >= bool(expected) and (not text or text.endswith("\n"))
-        else:
-            assert len(text.splitlines()) == expected
+@pytest.mark.parametrize(("tty", "count"), [(True, 10), (False, 1)])
+def test_a_line_of_progress_is_renewed_on_a_terminal_and_rare_in_a_file(tty, count):
+    out = io.StringIO()
+    out.isatty = lambda: tty
+    line = ProgressLine(out)
+    for k in range(11):
+        line.show(f"frame {k}", line.begin + 0.55 * k)
+    line.end()
+    text = out.getvalue()
+    assert text.count("frame") == count and text.endswith("\r\033[K" if tty else "frame 10\n")
 
 
 def test_displays_import_nothing_heavy_until_they_open():

@@ -127,6 +127,7 @@ def _drawn(gaussians, cameras: list[Camera], outputs: str, antialias: bool, sort
 def film_turntable(options: RenderOptions) -> None:
     """Film one turn around the splats: an MP4 of --frames pictures. Raises BadInput."""
     from display.headless.video import Video
+    from display.timing import ProgressLine
     from display.viewed_file import BACKGROUND, ViewedFile, camera_around
     from render.renderer import Renderer
     from render.splats import Splats

@@ -18,7 +18,6 @@ from core.planes import LEVEL_COS, weighted_percentile
 FINE_GRIDS_MAX = 16
 PLANE_KINDS = ("floor", "table", "shelf")
 # Planes and places of a room that has been tilted
-OPAQUE = 0.3  # fainter Gaussians are haze
 PLANE_REACH = 0.3  # [m] over and under a tilted plane's middle in which its level part is looked for
 PLANE_LAYER = 0.03  # [m] half the thickness of a level plane
 PLANE_SHARE = 0.3  # of a rectangle's area, at least, that must be level for it to be a plane still
@@ -84,7 +83,7 @@ class Environment:
         gaussians, grid  of the room as it stands now;  eye_height [m] over the floor
         Raises BadInput if there is no free place on the floor.
         """
-        solid = gaussians.select(gaussians.opacities > OPAQUE)
+        solid = gaussians.opaque()
         normals, areas = normals_and_areas(solid)
         level = np.abs(normals[:, 1]) > LEVEL_COS
         points, areas = solid.means.astype(np.float64)[level], areas[level]

@@ -15,6 +15,7 @@ from core.spherical_harmonics import rotate_sh
 SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
 LOG_SCALE_MAX = 40.0  # exp(2 * 40) = 5.5e34: sums of such variances still fit float32
 MAGNITUDE_MAX = 1e15  # [m] squared distances between such points still fit float32
+OPAQUE = 0.3  # opacity above which a Gaussian shows a surface; fainter ones are haze
 UNIT_TOLERANCE = 1e-3  # of lengths and sums that should be 1: float16 is off by less
 ROWS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")  # arrays with a row a Gaussian
 SORTS = ("z", "radial", "pixel")  # orders of blending, see render/__init__.py
@@ -90,6 +91,10 @@ class Gaussians:
     def select(self, which: np.ndarray) -> Gaussians:
         """The Gaussians of an index array or boolean mask."""
         return replace(self, **{name: getattr(self, name)[which] for name in ROWS})
+
+    def opaque(self) -> Gaussians:
+        """The Gaussians that show a surface."""
+        return self.select(self.opacities > OPAQUE)
 
     def with_sh_degree(self, degree: int) -> Gaussians:
         """Pad with zeros, or cut, to the given SH degree."""

@@ -174,7 +174,6 @@ def askew(p: np.ndarray, low: np.ndarray, longest: float) -> float:
 # The floor of a scene
 
 FLOOR_LEAN_COS = np.cos(np.radians(32.0))  # of a floor to the file's axis; beyond, another axis is nearer, or a wall
-OPAQUE = 0.3  # fainter Gaussians are haze
 
 
 def find_gravity(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up: str) -> tuple[float, np.ndarray]:
@@ -197,7 +196,7 @@ def find_gravity(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up:
 
 def floor_height(gaussians: Gaussians) -> float:
     """Height [m] of the largest level plane in the lower half, +y up. Raises BadInput where nothing is level."""
-    solid = gaussians.select(gaussians.opacities > OPAQUE)
+    solid = gaussians.opaque()
     normals, areas = normals_and_areas(solid)
     level = np.abs(normals[:, 1]) > LEVEL_COS
     if level.sum() < 10:

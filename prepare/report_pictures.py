@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from assets.asset import Asset
-from assets.gaussians import Gaussians, robust_bounds
+from assets.gaussians import OPAQUE, Gaussians, robust_bounds
 from assets.orientation import alternatives, rotation_to_up
 from core.camera import Camera, look_at, perspective
 from core.tetmesh import boundary_surface, face_components
@@ -23,7 +23,6 @@ MAX_DRAWN_CELLS = 56  # drawn on the longest side; more cannot be told apart
 MAX_DOTS = 15_000  # Gaussians in the picture of the enclosure
 
 STRIP_WIDTH, STRIP_HEIGHT, STRIP_FOOT = 240, 220, 34  # [px] of a picture in the strip, and of the line under it
-STRIP_OPAQUE = 0.3  # fainter Gaussians are not framed
 
 CLAY, BLUE, GREY, RED = (214, 142, 108), (132, 172, 214), (206, 203, 198), (200, 40, 40)
 SKIN, FLESH, WIRE = (226, 196, 150), (120, 166, 172), (70, 66, 62)
@@ -70,7 +69,7 @@ def orientation_strip(gaussians: Gaussians, up: str, probabilities: dict[str, fl
     pages = []
     for other in alternatives(probabilities):
         turned = gaussians.transformed(rotation_to_up(other) @ rotation_to_up(up).T)
-        opaque = turned.opacities > STRIP_OPAQUE
+        opaque = turned.opacities > OPAQUE
         seen = (turned.means[opaque] if opaque.any() else turned.means).astype(np.float64)
         camera = camera_for(seen.clip(*robust_bounds(seen)), STRIP_WIDTH, STRIP_HEIGHT)
         page = np.full((STRIP_HEIGHT + STRIP_FOOT, STRIP_WIDTH, 3), PAPER, np.uint8)

@@ -29,7 +29,6 @@ from prepare.environment.support_planes import (
     support_planes,
 )
 from prepare.environment.surfels import (
-    SURFACE_OPACITY,
     Surfels,
     VoxelGrid,
     haze,
@@ -184,7 +183,7 @@ def prepare_environment(
 
 def main_component(gaussians: Gaussians) -> Gaussians:
     """Opaque Gaussians of the largest connected component. Raises BadInput where there is no scene."""
-    solid = gaussians.select(gaussians.opacities > SURFACE_OPACITY)
+    solid = gaussians.opaque()
     if len(solid) < MIN_GAUSSIANS:
         raise BadInput(f"only {len(solid)} of {len(gaussians)} Gaussians are opaque; {MIN_GAUSSIANS} are needed")
     points = solid.means.astype(np.float64)
@@ -226,7 +225,8 @@ def orient_surface(
     """
     h = cell or max(float(np.cbrt((high - low).prod() / USUAL_CELLS)), 2 * MIN_CELL)
     origin, shape = grid_around(low, high, h)
-    solid = g.select((g.opacities > SURFACE_OPACITY) & ~haze(g, h))
+    solid = g.opaque()
+    solid = solid.select(~haze(solid, h))
     found = without_floaters(surfels(solid, origin, h, shape), shape, h)
     voxels = VoxelGrid.of(found.cells, origin, h, shape)
     if cameras is None:

@@ -14,7 +14,6 @@ from assets.gaussians import Gaussians, normals_and_areas
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 
-SURFACE_OPACITY = 0.3  # fainter Gaussians are haze
 DISC_RADIUS = 1.5  # standard deviations that are covered with points
 MAX_ACROSS = 7  # points across a disc: a huge Gaussian must not cost more than 49 others
 HAZE_THICKNESS, HAZE_ROUNDNESS = 0.35, 0.3  # least thickness of haze in voxels, and over its width

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from assets.gaussians import Gaussians
-from assets.orientation import OPAQUE, support_plane, turned_about_up, up_of_cameras
+from assets.gaussians import OPAQUE, Gaussians
+from assets.orientation import support_plane, turned_about_up, up_of_cameras
 from core.errors import BadInput
 from core.measured_length import scale_between
 from core.rotation import rotation_between

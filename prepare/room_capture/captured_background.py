@@ -29,6 +29,7 @@ from prepare.environment.environment_pipeline import (
 from prepare.environment.support_planes import (
     CELL,
     DROP_SPACE,
+    EYE_HEIGHT,
     SupportPlane,
     cell_centres,
     clearance,
@@ -42,7 +43,6 @@ VIEWERS = 40  # cameras from which surfaces are oriented; more add nothing
 AROUND_CAMERAS = 0.6  # [m] the room extends at least this far beyond the outermost camera
 SHOWN = 1.0, 99.0  # percentiles of what the pictures show that bound the room
 REACH = 4.0  # [m] the room extends at most this far beyond the cameras; the rest is a backdrop
-EYE_HEIGHT = 1.5  # [m] assumed height of the cameras if no floor was seen
 NEAR_TARGET = 0.5  # [1/m] penalty for the distance of a free place from what the cameras look at
 AMPLE = 0.3  # [m] radius from which more free space counts no further
 MIN_FREE = 0.05  # [m] least radius of a free place

@@ -27,7 +27,6 @@ from prepare.pipeline import Options, prepare
 from prepare.progress import Progress, no_progress
 from prepare.standing import resting_normal
 
-SOLID = 0.3  # opacity from which a Gaussian can touch
 TOUCH = 0.06  # object sizes: a gap up to this is contact
 NEIGHBOURS = 6  # nearest Gaussians of the rest tested for each of the object's
 TOUCHES_MIN = 4  # Gaussians in contact; with fewer the object touches nothing
@@ -53,7 +52,7 @@ def support_of(gaussians: Gaussians, rest: Gaussians) -> Support:
     It stands if its contacts near the foot surround its centre, as those of a base do; else it hangs, as a trophy on a
     wall does. Raises BadInput if it touches nothing.
     """
-    gaussians, rest = gaussians.select(gaussians.opacities > SOLID), rest.select(rest.opacities > SOLID)
+    gaussians, rest = gaussians.opaque(), rest.opaque()
     own, others = gaussians.means.astype(np.float64), rest.means.astype(np.float64)
     low, high = robust_bounds(own)
     size, touch = float((high - low).max()), np.zeros(0, int)

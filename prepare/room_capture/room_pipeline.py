@@ -18,7 +18,7 @@ from prepare.progress import Progress, no_progress
 from prepare.room_capture.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
 from prepare.room_capture.contributions import Contributions, contributions, depth_at, needed
-from prepare.room_capture.objects import SOLID, Support, object_body, object_files, seated, support_of
+from prepare.room_capture.objects import Support, object_body, object_files, seated, support_of
 from prepare.train.capture import Capture
 
 OBJECT_SHARE = 0.002  # least share of an object in what the pictures show
@@ -163,7 +163,7 @@ def without_objects(room: PlacedRoom, lost: dict[str, str], say: Callable[[str],
 
 def too_little(part: Gaussians, share: float) -> str:
     """Reason why Gaussians with this share of the pictures cannot become an object; "" if they can."""
-    opaque = int((part.opacities > SOLID).sum())
+    opaque = len(part.opaque())
     if opaque < MIN_GAUSSIANS:
         return f"only {opaque} opaque Gaussians belong to it; train longer (--steps) or mark more of it"
     return "the photographs hardly show it; mark more of it, or leave it out" if share < OBJECT_SHARE else ""

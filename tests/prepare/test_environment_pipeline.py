@@ -16,7 +16,7 @@ from assets.orientation import find_gravity, guess_up_axis
 from assets.splat_files import read_gaussians, write_gaussians
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import EnvironmentOptions, prepare_environment
-from prepare.environment.surfels import SURFACE_OPACITY, Surfels, surfels
+from prepare.environment.surfels import Surfels, surfels
 from prepare.environment.winding_number import blended_planes, signed_distance, winding_number
 from prepare.prepared_files import prepare_environment_file
 from scenes import registry
@@ -208,7 +208,7 @@ def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
 def test_up_is_found_and_refined(up, turn):
     g = room().transformed(turn)
     assert guess_up_axis(g)[0] == up
-    g = g.select(g.opacities > SURFACE_OPACITY)
+    g = g.opaque()
     floor, rotation = find_gravity(g.means.astype(float), *normals_and_areas(g), up)
     assert (rotation @ turn)[1, 1] > np.cos(np.radians(0.1))
     assert abs(floor) < 0.005

@@ -60,6 +60,7 @@ class BenchOptions(cli.Options):
             f"belongs to bench {' and '.join(takers)}",
         )
         for name, takers in TAKERS.items()
+        if name != "names"
     )
 
     subject: Literal["sim", "scene", "render", "frame", "demos", "train"] = cli.argument(

@@ -82,6 +82,14 @@ def test_objects_are_marked_before_the_poses_are_found(tmp_path, run, where):
     assert len(run.done) == 2 and list(again.marks.objects) == ["ball"], "neither is done again"
 
 
+def test_a_training_finds_poses_as_a_capture_does(tmp_path, run):
+    pictures(tmp_path / "toys")
+    options = train.TrainOptions(capture=tmp_path / "toys", out=tmp_path / "toys.ply")
+    for _ in range(2):
+        views = train.posed_capture(options).views
+        assert [v.name for v in views] == [n for n in NAMES if n != LOST] and run.done == ["poses"]
+
+
 def test_marks_of_a_video_are_kept_with_its_room(tmp_path, run):
     film(tmp_path / "walk.avi")
     (tmp_path / "marks.json").write_text("of something else beside the video")

@@ -8,7 +8,8 @@ import pytest
 
 import vrgs
 from commands.options import Sort
-from commands.parser import COMMANDS, command_parser, parse, playing_parser, scene_file_in
+from commands.parser import COMMANDS, command, command_parser, parse, playing_parser, scene_file_in
+from commands.play import PlayOptions
 from core.errors import BadInput
 from render import SORTS
 
@@ -20,14 +21,13 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     " --replay --out --only",
     "view": "--help --arch --background --size --snapshot --sort --up",
     "render": "--help --antialias --arch --camera --out --sort --turntable",
-    "prepare": "--help --arch --out",
+    "prepare": "--help --arch --out --cache --static",
     "convert": "--help",
     "train": "--help --arch --out --steps --strategy --cap --degree --antialias --sort --reduce --test-every --report"
-    " --masks --split --checkpoint-every --preview --seed --fast --exposure --refine-poses",
+    " --masks --checkpoint-every --preview --seed --fast --exposure --refine-poses",
     "capture": "--help --arch --out --marks --masks --no-objects --scale-points --steps --reduce --cap --cell --seed",
-    "inpaint": "--help --remove --objects --out --capture --lama --keep-shadow --steps --report --truth --reduce"
-    " --arch",
-    "segment": "--help --splats --marks --out --model --reduce --overlay --compare",
+    "inpaint": "--help --remove --objects --out --capture --lama --keep-shadow --steps --report --arch",
+    "segment": "--help --marks --out",
     "bench": "--help --arch --json",
     "figures": "--help --arch --capture --out --quick",
     "tune": "--help --arch --height --json --material --out --young",
@@ -35,64 +35,41 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "check": "--help --arch --json --quick",
     "study": "--help --form",
 }
-REFUSED = [  # a command line, and what is said about the option that would be ignored
+REFUSED = [  # for each condition a command line, and what is said about the option that would be ignored
     ("--render-scale .5", "--render-scale belongs to --xr"),
     ("--xr --size 320x180", "--size is not for --xr"),
     ("--stereo", "--stereo belongs to --headless"),
     ("--host ::1", "--host belongs to --web"),
     ("--sound on --headless", "--sound on: nothing is heard here"),
     ("--sound on --web", "--sound on: nothing is heard here"),
-    *(
-        (f"export --out a.ply {o}", "is for a splat")
-        for o in ("--up +y", "--front 9", "--scale 1", "--vertices 9", "--pieces")
-    ),
-    ("export --out a.ply --cells uniform", "is for a splat"),
-    ("export --out a.ply --format spz", "--format is for a folder"),
-    ("export --out a.ply --replay a.h5 --state b.h5", "--state is not for a replay"),
+    ("--participant Ida", "--participant belongs to --study"),
     ("--replay a.h5 --state b.h5", "--state is not for a replay"),
+    ("--body a.h5 --up=-y", "--up is for a splat file"),
+    ("--stage a.ply --vertices 9", "--vertices is for a splat file"),
+    ("--pieces", "--pieces is for a splat file"),
+    ("export --out a.ply --cells uniform", "--cells is for a splat file"),
+    ("export --out a.ply --replay a.h5 --state b.h5", "--state is not for a replay"),
+    ("export --out a.ply --format spz", "--format is for a folder"),
     ("export --out a.ply --every 3", "--every is for a sequence"),
     ("export --out a.vtu --no-shadows", "--no-shadows is for splats"),
-    ("prepare a.ply --cache --quantised", "--quantised belongs to --out"),
-    *(
-        (f"capture a --out r --no-objects {o}", "not for --no-objects")
-        for o in ("--lama n", "--vertices 9", "--material wood")
-    ),
-    ("--participant Ida", "--participant belongs to --study"),
-    ("--body a.h5 --up=-y", "--up is for a splat file"),
-    ("--body ring_red --front 0", "--front is for a splat file"),
-    ("prepare a --out b.h5 --static --front 90", "--front belongs to bodies"),
-    ("--body ring_red --scale 1", "--scale is for a splat file"),
-    ("--stage a.ply --vertices 9", "--vertices is for a splat file"),
-    ("--cells uniform", "--cells is for a splat file"),
-    ("--pieces", "--pieces is for a splat file"),
+    ("capture a --out r --no-objects --lama n", "--lama is not for --no-objects"),
     ("view a.ply --snapshot a.png --frames 3", "--frames belongs to a window"),
     ("view a.ply --snapshot a.png --out b.ply", "--out is what a crop in the window is written to"),
-    *((f"render a --camera b --out c.png {o}", "belongs to --turntable") for o in ("--up +y", "--elevation 3")),
-    *((f"render a --camera b --out c.png {o}", "belongs to --turntable") for o in ("--size 32x32", "--frames 3")),
-    *((f"prepare a --out b.h5 {o}", "belongs to --static") for o in ("--cell 1", "--cut 3")),
+    ("render a --camera b --out c.png --up +y", "--up belongs to --turntable"),
+    ("prepare a --out b.h5 --cell 1", "--cell belongs to --static"),
     ("prepare a --out b.h5 --static --pieces", "--pieces belongs to bodies"),
-    *(
-        (f"prepare a --out b.h5 --static {o}", "with --static nothing is simulated")
-        for o in ("--vertices 9", "--cells uniform", "--material wood", "--mesher tetgen", "--no-report", "--rig r.glb")
-    ),
-    *((f"prepare a --cache {o}", "belongs to --out") for o in ("--force", "--quantised", "--static --up +y")),
+    ("prepare a --out b.h5 --static --front 90", "with --static nothing is simulated"),
+    ("prepare a --cache --force", "--force belongs to --out"),
     ("prepare a --cache --static --scale 1", "--scale belongs to --out"),
-    ("prepare a --out b.h5 --static --landmarks l.json", "with --static nothing is simulated"),
-    *((f"bench frame {o}", "belongs to bench") for o in ("--detail paper", "--sizes 3", "--asset a", "--acts drop")),
-    *(
-        (f"bench frame {o}", "belongs to bench")
-        for o in ("--materials wood", "--bodies d", "--frames 3", "--quick", "--gaussians 1.313M", "--size 32x32")
-    ),
-    *((f"bench demos {o}", "belongs to bench") for o in ("--rounds 3", "--gaussians 1.313M")),
-    *(
-        (f"bench render {o}", "belongs to bench train")
-        for o in ("--steps 9", "--at 9", "--reduce 2", "--test-every 4", "--cap 9", "--seed 1")
-    ),
-    ("bench render --variants fast", "belongs to bench train"),
+    ("bench frame --test-every 4", "--test-every belongs to bench train"),
+    ("bench demos --rounds 3", "--rounds belongs to bench sim and render"),
     ("train c --out o.ply --checkpoint-every 0 --fresh", "--fresh belongs to --checkpoint-every"),
+    ("train c --out o.ply --masks none --split", "--split belongs to --masks"),
+    ("inpaint a --remove b --out c.ply --truth t", "--truth belongs to --capture and --report"),
+    ("inpaint a --remove b --out c.ply --capture c --reduce 2", "--reduce belongs to --truth"),
     ("segment c --marks m.json --out m --arch cpu", "--arch belongs to --splats"),
     ("segment a.ply --marks m.json --out m --reduce 2", "--reduce is for a capture"),
-    *((f"tune a --young 1e4 {o}", "that --young does not list") for o in ("--from 1e3", "--to 1e5", "--steps 3")),
+    ("tune a --young 1e4 --from 1e3", "--from is for moduli that --young does not list"),
     ("study s.h5 --form --out p.csv", "--out is for the comparison"),
     ("study s.h5 --form --answers a.json", "--answers and --form do not go together"),
     ("study s.h5 --participant Ida", "--participant belongs to --form"),
@@ -103,7 +80,7 @@ REFUSED = [  # a command line, and what is said about the option that would be i
 def refusal(words: str) -> str:
     """The message about a command line."""
     with pytest.raises(BadInput) as error:
-        parse(words.split())[1]
+        parse(words.split())
     assert "\n" not in str(error.value)
     return str(error.value)
 
@@ -114,15 +91,12 @@ def test_an_option_that_would_be_ignored_is_refused(words, said):
 
 
 @pytest.mark.parametrize("name", [None, *COMMANDS], ids=str)
-def test_each_option_acts_or_is_refused_somewhere(name):
-    """Whoever adds an option says here whether it always acts."""
-    parser = playing_parser() if name is None else command_parser(name)
-    groups = [g for g in parser._action_groups if g.title == "options of scenes"]
-    of_scenes = {flag for group in groups for action in group._group_actions for flag in action.option_strings}
-    there = {flag for flag in parser._option_string_actions if flag.startswith("--")} - of_scenes
-    lines = [words for words, _ in REFUSED if (words.split()[0] if not words.startswith("-") else None) == name]
-    refused = {word.partition("=")[0] for words in lines for word in words.split() if word.startswith("--")}
-    assert there == set(ALWAYS[name].split()) | (refused & there)
+def test_each_option_acts_or_has_a_condition(name):
+    """Whoever adds an option says here that it always acts, or in the command under which condition."""
+    parser, kind = (playing_parser([]), PlayOptions) if name is None else (command_parser(name, []), command(name)[1])
+    there = {flag for flag in parser._option_string_actions if flag.startswith("--")}
+    conditional = {flag for condition in kind.CONDITIONS for flag in condition.flags}
+    assert there == set(ALWAYS[name].split()) | conditional
 
 
 @pytest.mark.parametrize(

@@ -261,8 +261,6 @@ DAMAGE = {
     "of version 7": lambda f: f.attrs.__setitem__("version", 7),
     "about: scene is missing": lambda f: f.attrs.__setitem__("about", "{}"),
     "assets: [0] is ['a'], not a list of 2": lambda f: f.attrs.__setitem__("assets", '[["a"]]'),
-    "settings: not JSON": lambda f: put(f, "settings", np.frombuffer(b"{", np.uint8)),
-    "settings: light.position is [0, 0]": lambda f: set_settings(f, light={"position": [0, 0]}),
     "settings: time is -1.0": lambda f: set_settings(f, time=-1.0),
     "the eye is at its target": lambda f: set_settings(f, eye=[0, 0, 0], target=[0, 0, 0]),
     "room is not a rotation": lambda f: set_settings(f, room=np.diag([2, 1, 1, 1]).tolist()),

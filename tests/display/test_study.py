@@ -4,9 +4,6 @@ import csv
 import json
 import math
 import re
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -140,44 +137,6 @@ def test_a_file_that_becomes_unwritable_ends_no_play(tmp_path, capsys):
         frames(study, world, 12)
         (tmp_path / "folder").rmdir()
     assert "a trial is lost" in capsys.readouterr().err
-
-
-WRITES = """
-import sys; sys.path.insert(0, {root!r})
-from display.study.study_file import add_to_study
-from display.study.trial import Trial
-for k in range({count}):
-    study = add_to_study({path!r}, lambda study: study.trials.append(Trial({name!r}, "task", frames=k)))
-    print(k, flush=True)
-"""
-
-
-def writer(path, name, count) -> subprocess.Popen:
-    program = WRITES.format(root=str(ROOT), path=str(path), name=name, count=count)
-    return subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-
-
-def test_killed_at_any_moment_nothing_finished_is_lost(tmp_path):
-    path = tmp_path / "s.h5"
-    write_study(path, Study([Trial("Ida", "task")]))
-    with writer(path, "Bo", 10**6) as process:
-        lines = [process.stdout.readline() for _ in range(25)]
-        process.send_signal(signal.SIGKILL)
-    assert lines[-1] == "24\n"
-    trials = read_study(path).trials
-    assert trials[0].participant == "Ida" and len(trials) >= 26
-    assert [t.frames for t in trials[1:]] == list(range(len(trials) - 1))
-
-
-def test_two_programs_may_write_at_once(tmp_path):
-    processes = [writer(tmp_path / "s.h5", name, 12) for name in ("Ida", "Bo")]
-    assert [p.communicate(timeout=60)[0].count("\n") for p in processes] == [12, 12]
-    trials = read_study(tmp_path / "s.h5").trials
-    assert {name: [t.frames for t in trials if t.participant == name] for name in ("Ida", "Bo")} == {
-        "Ida": list(range(12)),
-        "Bo": list(range(12)),
-    }
-    assert [p.name for p in tmp_path.iterdir()] == ["s.h5"]
 
 
 def some_study() -> Study:
@@ -331,9 +290,7 @@ def test_the_questionnaire_is_a_page_whose_answers_are_read(tmp_path, capsys):
         ({"setting": "magic"}, "setting is 'magic', not one of physics, transform"),
         ({"answers": {"speed": 3}}, "answers is 'speed', not one of immersion"),
         ({"answers": {"ease": 8}}, "answers.ease is 8, not a whole number from 0 to 7"),
-        ({"answers": {"ease": True}}, "answers.ease is True"),
         ({"participant": " "}, "participant is ' ', not a name"),
-        ({"comment": 5}, "comment is 5"),
     ],
 )
 def test_bad_answers_are_refused(tmp_path, changes, says):

@@ -174,11 +174,8 @@ def test_rooms_in_the_working_directory_are_in_the_menu_of_scenes(folder, monkey
     [
         (lambda d: d.update(version=2), "version 2"),
         (lambda d: d.pop("eye"), "eye is missing"),
-        (lambda d: d.update(script="os.system"), "script is unknown"),
         (lambda d: d["objects"][0].update(asset="../other.h5"), "not the name of an .h5"),
-        (lambda d: d["objects"][0].update(asset="/etc/objects/a.h5"), "not the name of an .h5"),
         (lambda d: d["objects"][0].update(rotation=[1, 1, 0, 0]), "no unit quaternion"),
-        (lambda d: d["objects"][0].update(position=[0, float("nan"), 0]), r"position\[1\] is nan, not a number"),
         (lambda d: d["objects"][0].update(asset="objects/none.h5"), "objects/none.h5 is missing"),
         (lambda d: d["objects"][1].update(name="red ring"), "same name"),
         (lambda d: d.update(fov_y=0), "fov_y"),

@@ -14,9 +14,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import taichi as ti
 
+from assets.library import search_first
 from bench.stereo_play import RATE, StereoPlay
 from scenes import registry
-from scenes.paper_demos import PaperDemo, paper_demos, use_paper_assets, use_shipped_assets
+from scenes.paper_demos import PaperDemo, paper_demos, use_paper_assets
 
 FIRST_SECOND = round(RATE)  # frames that do not count for the worst: bodies come to rest, buffers grow
 FRAMES, QUICK_FRAMES = 1000, 30
@@ -26,8 +27,8 @@ STAGES = ("hands", "simulate", "embed", "shadow", "render")
 
 def run(*, names: list[str], detail: str, frames: int | None, quick: bool, size: tuple[int, int]) -> Iterator[dict]:
     """Measure each demo; prints and yields its row. Raises BadInput."""
-    demos = paper_demos(names, there=registry.names())
-    make_ready = use_shipped_assets if detail == "shipped" else use_paper_assets
+    demos = paper_demos(names)
+    make_ready = use_paper_assets if detail == "paper" else lambda demo: search_first(None)
     for demo in demos:
         make_ready(demo)  # whatever is missing is said before any is measured
     frames = frames or (QUICK_FRAMES if quick else FRAMES)

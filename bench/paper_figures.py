@@ -280,7 +280,7 @@ class Plays:
 
 def shadow_section(plays: Plays, results: dict) -> Section:
     """One view with shadows and without."""
-    (demo,) = paper_demos([SHADOWED], there=registry.names())
+    (demo,) = paper_demos([SHADOWED])
     played = plays.of(demo)
     loss = (played.without_shadows.astype(float) - played.picture).mean(2) / 255
     dark = loss > DARKENED
@@ -302,7 +302,7 @@ def shadow_section(plays: Plays, results: dict) -> Section:
 
 def demo_section(names: tuple[str, ...], plays: Plays, results: dict, report: Callable[[str], None]) -> Section:
     """A picture of each demo, or of those of these names, after its scripted player has played for a while."""
-    demos = paper_demos(names, there=registry.names())
+    demos = paper_demos(names)
     pictures, rows, results["demos"] = {}, [], {}
     for k, demo in enumerate(demos, 1):
         title = demo.name.replace("_", " ")

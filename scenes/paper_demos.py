@@ -44,9 +44,9 @@ PAPER_DEMOS = (
 )
 
 
-def paper_demos(names: Sequence[str] = (), *, there: Sequence[str]) -> list[PaperDemo]:
-    """The demos with these names (all demos if empty) whose scenes are in `there`. Raises BadInput."""
-    known = {demo.name: demo for demo in PAPER_DEMOS if demo.scene in there}
+def paper_demos(names: Sequence[str] = ()) -> list[PaperDemo]:
+    """The demos with these names, all if there are none. Raises BadInput."""
+    known = {demo.name: demo for demo in PAPER_DEMOS}
     for name in names:
         if name not in known:
             raise BadInput(f"{name}: no such demo; there are {', '.join(known)}")
@@ -59,11 +59,6 @@ def paper_demo_of(scene: str, options: dict[str, str]) -> PaperDemo:
         if demo.scene == scene and demo.options.items() <= {**demo.options, **options}.items():
             return demo
     raise BadInput(f"the scene {scene} with these options is not a demo of the paper")
-
-
-def use_shipped_assets(demo: PaperDemo) -> None:
-    """Let the demo's scene find its assets as they are shipped."""
-    search_first(None)
 
 
 def use_paper_assets(demo: PaperDemo, folder: Path | None = None) -> None:

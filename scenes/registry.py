@@ -99,10 +99,8 @@ def demo(name: str) -> Demo | None:
     except Exception as e:  # a user's file may fail in any way; the other demos can be played all the same
         return Demo(name, fault=fault_of(e, name))
     build = vars(module).get("build")
-    if build is None:
-        return None
     if not callable(build):
-        return Demo(name, fault="it has no function build")
+        return None
     try:
         options = options_of(build)
     except Exception as e:  # type hints are evaluated
@@ -220,9 +218,7 @@ def load(
     if found is None:
         raise BadInput(f"no scene named {name!r}; there are: {', '.join(names())}")
     if found.build is None:
-        raise BadInput(
-            f"{name}: {found.fault}" if is_scene_file(name) else f"the scene {name} cannot be played: {found.fault}"
-        )
+        raise BadInput(f"{name}: {found.fault}")
     taken = inspect.signature(found.build).parameters
     known = {option.name: option for option in found.options}
     values = {}

@@ -119,11 +119,10 @@ def build_capture(args: argparse.Namespace) -> None:
 
 def build_paper(names: list[str], out: Path | None, arch: str | None, *, force: bool = False) -> None:
     """Build the assets of demos at the paper's sizes into out/DEMO (default: in the user's cache). Raises BadInput."""
-    from scenes import registry
     from scenes.paper_demos import paper_demos
     from studio.paper_assets import build_demo
 
-    demos = paper_demos(names, there=registry.names())
+    demos = paper_demos(names)
     start_taichi(arch)
     report = clock()
     for k, demo in enumerate(demos):

@@ -93,7 +93,7 @@ class DeviceScene:
             obstacles,
             gravity=scene.gravity,
             interaction=interaction,
-            capacity=capacity_for([piece.body for piece in reserved]) if moving else None,
+            capacity=capacity_for([piece.body for piece in reserved]) if moving else Capacity(),
             fingers=fingers,
         )
         parts = [embedded for _, embedded in moving], [piece.part for piece in reserved]

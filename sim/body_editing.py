@@ -12,11 +12,9 @@ import numpy as np
 
 from core.errors import BadInput
 from core.material import Material
-from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
+from core.rotation import best_fit_rotation, quaternions_from_matrices
 from sim.hands.grasp import GraspState
 from sim.model import BodyModel, SoftBody, body_index, motion
-
-COPY_GAP = 0.01  # [m] between a body and its copy
 
 
 @dataclass(frozen=True)
@@ -67,21 +65,20 @@ def removed(bodies: MovingBodies, i: int) -> MovingBodies:
     return MovingBodies(tuple(bodies.models[k] for k in kept), tuple(bodies.motions[k] for k in kept), grasps)
 
 
-def duplicated(bodies: MovingBodies, i: int, *, position=None, rotation=None, offset=None) -> MovingBodies:
-    """Append a copy of body i as it is deformed and moves now; see Solver.duplicate."""
+def duplicated(bodies: MovingBodies, i: int, offset) -> MovingBodies:
+    """Append a copy of body i as it is deformed and moves now, at `offset` (3,) [m] from it.
+
+    It starts, if it is reset, with the rotation nearest to its shape.
+    """
     i = body_index(i, len(bodies.models))
     model, (x, v) = bodies.models[i], bodies.motion_of(i)
     rest, center = model.shape.vertices, model.shape.center
     c = np.average(x, axis=0, weights=model.mass)
     R = best_fit_rotation(((x - c) * model.mass[:, None]).T @ (rest - center))
     origin = c - R @ center
-    if position is None:
-        beside = (np.ptp(x[:, 0]) + COPY_GAP) if rotation is None else 0.0
-        position = origin + ([beside, 0.0, 0.0] if offset is None else np.asarray(offset, np.float64))
-    position = np.asarray(position, np.float64)
-    turn = np.eye(3) if rotation is None else matrices_from_quaternions(rotation) @ R.T
-    start = tuple(quaternions_from_matrices(turn @ R).tolist()), tuple(position.tolist())
-    return bodies.with_body(model.placed(*start), motion((x - origin) @ turn.T + position, v @ turn.T))
+    position = origin + np.asarray(offset, np.float64)
+    start = tuple(quaternions_from_matrices(R).tolist()), tuple(position.tolist())
+    return bodies.with_body(model.placed(*start), motion((x - origin) + position, v))
 
 
 def rescaled(bodies: MovingBodies, i: int, factor: float, *, about=None) -> MovingBodies:

@@ -109,28 +109,25 @@ class Skinning:
 
     x_i = sum_k w_ik  M_j(i,k)  X_i,    M = world_from_body  world_j  inverse_bind_j
 
-    first     index of the body's first vertex among the solver's
     vertices  indices of the kinematic vertices, from the body's first, (D,)
     points    their rest positions [m], (D, 3)
     joints    that move each, (D, 4); weights of these, (D, 4)
     count     number of joints
     """
 
-    def __init__(self, first: int, vertices, points, joints, weights, count: int):
-        D, self.first = len(vertices), first
-        f = FieldGroup()
+    def __init__(self, vertices, points, joints, weights, count: int):
+        D, f = len(vertices), FieldGroup()
         self.index, self.joint = f.scalar(D, dtype=ti.i32), f.vector(D, n=4, dtype=ti.i32)
         self.point, self.weight = f.vector(D), f.vector(D, n=4)
         self.matrix = f.matrix(count, n=3, m=4)
         f.build()
         Upload([self.index, self.joint, self.point, self.weight])([vertices, joints, points, weights])
 
-    def pose(self, matrices: np.ndarray, targets, first: int | None = None) -> None:
+    def pose(self, matrices: np.ndarray, targets, first: int) -> None:
         """Out: positions [m] of the vertices in the field `targets`, vec3 (V,), by the joints' matrices (J, 4, 4).
 
-        `first`: first vertex of a copy of the body.
+        `first`: index of the body's first vertex among the solver's.
         """
-        first = self.first if first is None else first
         self._pose(np.ascontiguousarray(matrices[:, :3], np.float32), first, targets)
 
     @ti.kernel

@@ -55,13 +55,6 @@ class Capacity:
     factor: float = 1.0
     rigid: bool = False
 
-    @classmethod
-    def of(cls, capacity: Capacity | float | None) -> Capacity:
-        """Take a factor as a capacity for MAX_BODIES bodies, None as no more than the first bodies need."""
-        if isinstance(capacity, Capacity):
-            return capacity
-        return cls() if capacity is None else cls(bodies=MAX_BODIES, factor=float(capacity))
-
     def sized(self, what: str, need: int) -> int:
         """Capacity for `what`, of which `need` are there at first."""
         return max(1, int(np.ceil(need * self.factor)), getattr(self, what))

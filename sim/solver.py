@@ -67,11 +67,10 @@ class Solver:
         self_contact: bool = True,
         frame_dt: float = 1 / 60,
         integrator: str = "auto",
-        capacity: Capacity | float | None = None,
+        capacity: Capacity = Capacity(),
         fingers: bool = False,
         sleep: bool = True,
     ):
-        capacity = Capacity.of(capacity)
         if not bodies and not capacity.grows:
             raise BadInput("nothing to simulate: no body has a cage and a material")
         if collision_passes < 1:
@@ -277,15 +276,9 @@ class Solver:
         """Remove body i; a hand that holds it opens, and the later bodies move up by one."""
         self._change(body_editing.removed(self._moving_bodies(), i))
 
-    def duplicate(self, i: int, *, position=None, rotation=None, offset=None) -> int:
-        """Copy body i as it is deformed and moves now; return the copy's index.
-
-        Its frame is put at `position` [m] with `rotation` (wxyz), where None is body i's; with neither given the copy
-        stands beside it, along x, or by `offset` (3,) [m]. The frame of a deformed body is that of the rotation nearest
-        to its shape.
-        """
-        copy = {"position": position, "rotation": rotation, "offset": offset}
-        return self._change(body_editing.duplicated(self._moving_bodies(), i, **copy))
+    def duplicate(self, i: int, offset) -> int:
+        """Copy body i as it is deformed and moves now, at `offset` (3,) [m] from it; return the copy's index."""
+        return self._change(body_editing.duplicated(self._moving_bodies(), i, offset))
 
     def rescale(self, i: int, factor: float, *, about=None) -> None:
         """Make body i `factor` times as large about its centre of mass, or a point; velocities stay.

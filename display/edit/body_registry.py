@@ -156,7 +156,7 @@ class BodyRegistry:
 
         def copy() -> int:
             self._check(members)
-            return self.device.solver.duplicate(k, offset=offset)
+            return self.device.solver.duplicate(k, offset)
 
         new = self._with_capacity(copy)
         by = np.eye(4)

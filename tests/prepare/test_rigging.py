@@ -153,7 +153,7 @@ def test_the_skinning_kernel_is_its_twin(ti_cpu):
     weights, matrices = rng.dirichlet(np.ones(4), 40), rng.normal(size=(5, 4, 4))
     targets = ti_cpu.Vector.field(3, ti_cpu.f32, 100)
     vertices = rng.permutation(60)[:40]
-    Skinning(30, vertices, points, joints, weights, 5).pose(matrices, targets)
+    Skinning(vertices, points, joints, weights, 5).pose(matrices, targets, 30)
     expected = linear_blend_skinning(points, joints, weights, matrices)
     assert_allclose(targets.to_numpy()[30 + vertices], expected, atol=1e-5)
     untouched = np.setdiff1d(np.arange(100), 30 + vertices)

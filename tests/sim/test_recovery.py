@@ -7,7 +7,7 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Plane
-from sim.model import SoftBody
+from sim.model import Capacity, SoftBody
 from sim.solver import Solver
 
 DT = 1 / 60
@@ -18,7 +18,7 @@ def two(young: float) -> Solver:
     x, tets, surface = box((SIZE, SIZE, SIZE), (2, 2, 2))
     m = Material(young, 0.3, 500.0)
     bodies = [SoftBody(n, x, tets, surface, m, position=(k, 0.0, 0.0)) for k, n in enumerate("ab")]
-    return Solver(bodies, [Plane((0, 0, 0), (0, 1, 0))], capacity=2.0)
+    return Solver(bodies, [Plane((0, 0, 0), (0, 1, 0))], capacity=Capacity(factor=2.0))
 
 
 @pytest.mark.parametrize("young, path", [(5e4, "xpbd"), pytest.param(1e8, "vbd", marks=pytest.mark.long)])

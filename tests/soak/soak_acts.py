@@ -187,7 +187,7 @@ def edit(rng: np.random.Generator, ranges: Ranges, solver) -> str:
     if kind == "add":
         solver.add(body(rng, ranges, above))
     elif kind == "duplicate":
-        solver.duplicate(i, position=tuple(above.tolist()))
+        solver.duplicate(i, above - solver.bodies()[i].centroid)
     elif kind == "remove":
         solver.remove(i)
     elif kind == "material":

@@ -98,9 +98,7 @@ class DeviceScene:
         )
         parts = [embedded for _, embedded in moving], [piece.part for piece in reserved]
         self.embedding = self._embed(*parts, embedding) if moving else None
-        self.animations = [
-            AnimationTargets(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()
-        ]
+        self.animations = [AnimationTargets(k, *placed, moving[k][0].vertices) for k, placed in animated.items()]
         casters = (first_caster, self.splats.count)
         self.shadow = None if self.light is None else ShadowMap(self.splats, self.light, casters)
         if self.shadow is not None and captured:

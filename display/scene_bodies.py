@@ -127,7 +127,7 @@ class AnimationTargets:
     vertices  of the body at rest [m], scaled as it is placed, (V, 3)
     """
 
-    def __init__(self, body: int, placed: Body, animation: Animation, vertices: np.ndarray, solver: Solver):
+    def __init__(self, body: int, placed: Body, animation: Animation, vertices: np.ndarray):
         self.body, self.animation, self.time = body, animation, 0.0
         q = np.asarray(placed.rotation, np.float64)
         self.world_from_body = np.eye(4)
@@ -136,7 +136,6 @@ class AnimationTargets:
         driven = animation.driven
         index = animation.vertices[driven]
         self.skinning = Skinning(
-            solver.vertex_offset[body],
             index,
             vertices[index] / placed.scale,
             animation.joints[driven],

@@ -117,7 +117,7 @@ class BodyRegistry:
         for k, piece in enumerate(pieces):
             if piece.animation is not None:
                 led = piece.placed, piece.animation, piece.body.vertices
-                self.animations.append(AnimationTargets(first + k, *led, self.device.solver))
+                self.animations.append(AnimationTargets(first + k, *led))
         self._show(members)
         return first
 
@@ -135,7 +135,7 @@ class BodyRegistry:
                 device.gaussian_counts.append(len(piece.part.gaussians))
                 if piece.animation is not None:
                     led = piece.placed, piece.animation, piece.body.vertices
-                    self._animated[len(self.source_models)] = AnimationTargets(0, *led, device.solver)
+                    self._animated[len(self.source_models)] = AnimationTargets(0, *led)
                 self.source_models.append(BodyModel.of(piece.body, self.source_models))
             self.added[asset] = list(range(first, first + len(pieces)))
         return self.added[asset]

@@ -25,7 +25,7 @@ def animated_shapes(asset: Asset, *, seconds: float | None = None, **placed) -> 
     soft = SoftBody("animated", vertices, cage.tets, cage.surface, material, pinned=led, self_contact=False,
                     position=body.position)  # fmt: skip
     solver = Solver([soft], contacts=False)
-    targets = AnimationTargets(0, body, motion, vertices, solver)
+    targets = AnimationTargets(0, body, motion, vertices)
     for _ in range(round(60 * (seconds or START_RAMP + motion.duration))):
         targets.drive(solver, 1 / 60)
         solver.step(1 / 60)

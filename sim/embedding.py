@@ -235,7 +235,7 @@ class Embedding:
         self.spans: list[BodySpan] = []
         self.count = 0  # Gaussians
         self._starts: list[tuple[int, int]] = [(0, 0)]  # first slice and slot of each span, and the ends
-        packed = [pack(b, scheme) for b in bodies]
+        self.bodies = packed = [pack(b, scheme) for b in bodies]  # stay on the host, for copies of them
         self._allocate(packed, headroom, [pack(b, scheme) for b in reserve])
         self.load([BodySpan(k, b.vertex_offset, b.gaussian_offset) for k, b in enumerate(bodies)], packed)
 
@@ -313,68 +313,6 @@ class Embedding:
         self.factor = f.scalar(self.slot_capacity * 4 * SLICE_LANES)
         f.build()
         self.target.fill(-1)
-
-    def read(self) -> list[PackedBody]:
-        """The packed body of each span, on the host."""
-        ends = self._starts[1:]
-        if self.fields is None:
-            return [PackedBody.empty() for _ in self.spans]
-        all_ = self._fetch(*self._starts[-1])
-        bodies = []
-        for span, (a, c), (b, d) in zip(self.spans, self._starts, ends, strict=False):  # slices a to b, slots c to d
-            target = all_.target[a * SLICE_LANES : b * SLICE_LANES]
-            bodies.append(
-                PackedBody(
-                    target=np.where(target >= 0, target - span.gaussian, -1).astype(np.int32),
-                    anchor=all_.anchor[a * SLICE_LANES : b * SLICE_LANES] - np.int32(span.vertex),
-                    begin=all_.begin[a : b + 1] - np.int32(c),
-                    rest_cov=all_.rest_cov[a * 6 * SLICE_LANES : b * 6 * SLICE_LANES].copy(),
-                    vertex=all_.vertex[c * SLICE_LANES : d * SLICE_LANES] - np.int32(span.vertex),
-                    factor=all_.factor[c * 4 * SLICE_LANES : d * 4 * SLICE_LANES].copy(),
-                )
-            )
-        return bodies
-
-    def _fetch(self, slices: int, slots: int) -> PackedBody:
-        """The first slices and slots of all fields, on the host."""
-
-        def zeros(count: int, kind=np.int32) -> np.ndarray:
-            return np.zeros(max(count, 1), kind)  # Taichi takes no empty arrays
-
-        front = PackedBody(
-            zeros(slices * SLICE_LANES), zeros(slices * SLICE_LANES), zeros(slices + 1),
-            zeros(slices * 6 * SLICE_LANES, np.float32), zeros(slots * SLICE_LANES),
-            zeros(slots * 4 * SLICE_LANES, np.float32),
-        )  # fmt: skip
-        self._copy_front(
-            slices, slots, front.target, front.anchor, front.begin, front.rest_cov, front.vertex, front.factor
-        )
-        return front
-
-    @ti.kernel
-    def _copy_front(
-        self, slices: ti.i32, slots: ti.i32,
-        target: ti.types.ndarray(ti.i32, 1), anchor: ti.types.ndarray(ti.i32, 1), begin: ti.types.ndarray(ti.i32, 1),
-        rest_cov: ti.types.ndarray(ti.f32, 1), vertex: ti.types.ndarray(ti.i32, 1), factor: ti.types.ndarray(ti.f32, 1),
-    ):  # fmt: skip
-        for i in range(slices * SLICE_LANES):
-            target[i], anchor[i] = self.target[i], self.anchor[i]
-        for i in range(slices + 1):
-            begin[i] = self.begin[i]
-        for i in range(slices * 6 * SLICE_LANES):
-            rest_cov[i] = self.rest_cov[i]
-        for i in range(slots * SLICE_LANES):
-            vertex[i] = self.vertex[i]
-        for i in range(slots * 4 * SLICE_LANES):
-            factor[i] = self.factor[i]
-
-    def warm_up(self) -> None:
-        """Compile the kernels of `read` and `load`; the first slice is written as it is."""
-        if self.fields is not None:
-            p = self._fetch(1, 1)
-            self._write_slices(0, 0, 0, 0, 1.0, p.target, p.anchor, p.begin, p.rest_cov)
-            self._write_slots(0, 0, 1.0, p.vertex, p.factor)
-            self._clear(self.target.shape[0])
 
     def fits(self, spans: list[BodySpan], packed: list[PackedBody]) -> bool:
         """True if `load` has the capacity for these."""

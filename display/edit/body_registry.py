@@ -237,7 +237,6 @@ class BodyRegistry:
         splats, first = self.device.splats, self.device.first
         if self.members:
             splats.write(first, *splats.read(first, 1))
-            self.device.embedding.warm_up()
         for animation in self.animations:
             animation.rebased(self.device.solver)
 
@@ -289,4 +288,4 @@ class BodyRegistry:
             splats, begins = self.device.splats, self._begins(self._scene_members)
             counts = self.device.gaussian_counts
             self._looks = [splats.read(first, count) for first, count in zip(begins, counts, strict=False)]
-            self._packed = self.device.embedding.read()
+            self._packed = list(self.device.embedding.bodies)

@@ -302,32 +302,48 @@ def solve_phases(integrator: ti.template(), thread, rounds, passes):
     """
     s, passed = integrator.state, rounds
     for c in ti.static(integrator.in_pairs):
-        for later in ti.static(range(min(len(c.phase_sizes), 2))):
-            turns = 1
-            if ti.static(later):
-                turns = ti.min(ti.static(len(c.phase_sizes) - 1), passes)
-            turn = 0
-            while turn < turns:
-                if ti.static(later and c.max_groups > 0):
-                    g = integrator.grid.warp_index(thread)
-                    while g < c.group_count():
-                        c.solve_group(later + turn, g, thread % integrator.grid.warp)
-                        g += integrator.grid.warps
-                k, end = integrator.grid.scattered(thread), c.phase_count(later)
-                while k < end:
-                    c.solve_phase(integrator, later, later + turn, k)
-                    k += integrator.grid.threads
+        solve_elements(integrator, c, 0, 0, thread)
+        passed = integrator.grid.meet(thread, passed, s.substep_index, 0)
+        if ti.static(len(c.phase_sizes) > 1):
+            phase, end = 1, 1 + ti.min(ti.static(len(c.phase_sizes) - 1), passes)
+            while phase < end:
+                solve_groups(integrator, c, phase, thread)
+                solve_elements(integrator, c, 1, phase, thread)
                 passed = integrator.grid.meet(thread, passed, s.substep_index, 0)
-                turn += 1
-                if ti.static(later):  # noqa: SIM102
-                    if turn < turns and not c.continues(later + turn):
-                        turn = turns
-            if ti.static(later and c.max_groups > 0):
-                g = integrator.grid.warp_index(thread)
-                while g < c.group_count():
-                    c.release_group(g)
-                    g += integrator.grid.warps
+                phase += 1
+                if phase < end and not c.continues(phase):
+                    phase = end
+            release_groups(integrator, c, thread)
     return passed
+
+
+@ti.func
+def solve_elements(integrator: ti.template(), c: ti.template(), later: ti.template(), phase, thread):
+    """Solve the elements of a phase, spread over the threads of the grid."""
+    k, end = integrator.grid.scattered(thread), c.phase_count(later)
+    while k < end:
+        c.solve_phase(integrator, later, phase, k)
+        k += integrator.grid.threads
+
+
+@ti.func
+def solve_groups(integrator: ti.template(), c: ti.template(), phase, thread):
+    """Solve the groups of a phase, a warp each."""
+    if ti.static(c.max_groups > 0):
+        g = integrator.grid.warp_index(thread)
+        while g < c.group_count():
+            c.solve_group(phase, g, thread % integrator.grid.warp)
+            g += integrator.grid.warps
+
+
+@ti.func
+def release_groups(integrator: ti.template(), c: ti.template(), thread):
+    """End the sweep for all groups."""
+    if ti.static(c.max_groups > 0):
+        g = integrator.grid.warp_index(thread)
+        while g < c.group_count():
+            c.release_group(g)
+            g += integrator.grid.warps
 
 
 @ti.func

@@ -169,7 +169,7 @@ def test_parts_come_go_move_and_grow(ti_cpu):
     parts = [EmbeddedBody(e.host, e.weights, g, *BAR) for g, e in ((a, embed_in_bar(a)), (b, embed_in_bar(b)))]
     parts = [replace(parts[0], gaussian_offset=10), replace(parts[1], vertex_offset=n, gaussian_offset=47)]
     embedding = Embedding(parts, with_rotation=False, headroom=4.0)
-    packed = embedding.read()
+    packed = embedding.bodies
     assert not embedding.fits([BodySpan(0, 0, 10), BodySpan(1, n, 47), BodySpan(1, 2 * n, 97)] * 30, packed)
     bodies = [BAR[0], BAR[0] + [0, 2, 0], 5 * BAR[0] - [3, 0, 0]]
     x = ti.Vector.field(3, ti.f32, 3 * n)

@@ -314,7 +314,7 @@ class BodyModel:
         return self.body.material if self.body.rigid else clamp_stiffness(self.body.material, self.shape.length)
 
     @cached_property
-    def crossing(self) -> float:
+    def crossing_time(self) -> float:
         """Time [s] in which a pressure wave crosses the body; infinite for a rigid one."""
         return np.inf if self.body.rigid else self.shape.length / wave_speed(self.material)
 
@@ -403,9 +403,9 @@ class Model:
         return np.array([p.kappa.max(initial=0.0) for p in self.bodies])
 
     @cached_property
-    def crossing(self) -> float:
+    def crossing_time(self) -> float:
         """The shortest time [s] in which a pressure wave crosses a body."""
-        return min((p.crossing for p in self.bodies), default=np.inf)
+        return min((p.crossing_time for p in self.bodies), default=np.inf)
 
     def columns(self) -> dict[str, np.ndarray]:
         """The values of State's fields of these names."""

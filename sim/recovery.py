@@ -100,8 +100,8 @@ KINKED_VOLUME = 0.9  # of a tet, to its rest volume: of random starts that end i
 class Untangling:
     """`begin_frame` finds the tangled bodies, `run` moves them; both cost nothing where there is none.
 
-    soft i32[B]: 1 while the body is untangled;   quaternion vec4[B]: R;   farthest f32[B]: distance to rest [m]
-    calm i32[B]: slow enough to be made soft;   kinked i32[B]: a tet is crushed or inverted
+    quaternion vec4[B]: R;   farthest f32[B]: distance to the rest shape [m]
+    slow i32[B]: slow enough to be made soft;   kinked i32[B]: a tet is crushed or inverted
     """
 
     def __init__(self, state: State, reductions: Reductions, damping: Damping):
@@ -109,12 +109,12 @@ class Untangling:
         g = self._group = FieldGroup()
         self.quaternion = g.vector(MAX_BODIES, n=4)
         self.farthest = g.scalar(MAX_BODIES)
-        self.calm = g.scalar(MAX_BODIES, dtype=ti.i32)
+        self.slow = g.scalar(MAX_BODIES, dtype=ti.i32)
         self.kinked = g.scalar(MAX_BODIES, dtype=ti.i32)
         g.build()
         self._upload = Upload([state.untangling, state.inverted, state.mu, state.lam])
         self.bodies = ()
-        self._status = np.zeros((2, 0))  # seconds left; whether tets were inverted since it was last seen calm
+        self._status = np.zeros((2, 0))  # seconds left; whether tets were inverted since it was last seen slow
 
     @property
     def active(self) -> np.ndarray:
@@ -132,10 +132,6 @@ class Untangling:
         self.bodies = model.bodies
         self.restore(np.array([known.get(id(p), np.zeros(3)) for p in self.bodies]).reshape(-1, 3).T)
 
-    def reset(self) -> None:
-        """Untangle no body."""
-        self.restore(None)
-
     def snapshot(self) -> np.ndarray:
         """Return what `restore` needs to go on from here, (3, B)."""
         return np.vstack([self._status, self._inverted()])
@@ -148,9 +144,9 @@ class Untangling:
         self._set_stiffness(values[2])
 
     def begin_frame(self, held: set[int], driven: set[int], dt: float) -> bool:
-        """Learn which bodies are tangled, before a frame of dt [s]; return whether any was recovered.
+        """Find the tangled bodies, before a frame of dt [s]; return whether any was recovered.
 
-        `held` by hands, `driven` by prescribed vertices: such a body has no other shape to go to than where these lead.
+        `held` by hands, `driven` by prescribed vertices: such a body can only go where these hold it.
         """
         flags = self._inverted()
         if not flags.any() and not self._status.any():
@@ -161,40 +157,40 @@ class Untangling:
         held_now = np.isin(index, list(held))
         left, suspect = self._status
         suspect = (suspect > 0) | inverted
-        calm, kinked = self._examine() if (suspect & ~held_now).any() else np.zeros((2, len(index)), bool)
-        begin = recovered | (suspect & calm & kinked)
+        slow, kinked = self._examine() if (suspect & ~held_now).any() else np.zeros((2, len(index)), bool)
+        begin = recovered | (suspect & slow & kinked)
         left = np.where(held_now, 0.0, np.where(begin, DURATION, np.maximum(left - dt, 0.0)))
-        self._status = np.stack([left, suspect & (held_now | ~calm)])
+        self._status = np.stack([left, suspect & (held_now | ~slow)])
         self._set_stiffness(np.zeros(len(self.bodies)))
         return bool(recovered.any())
 
     def run(self, t: float) -> None:
-        """Lead the bodies for t [s], before the damping."""
+        """Move the bodies for t [s], before the damping."""
         if self.active.any():
             self.reductions.sum_up()
             self.damping.run(0.0)  # omega of now: the last one would spin a body that has grown since
-            self._lead(t)
+            self._move(t)
 
     def warm_up(self) -> None:
         """Compile, see Solver.warm_up."""
-        self._lead(0.0)
+        self._move(0.0)
         self._examine()
 
     def _examine(self) -> np.ndarray:
-        """Find the bodies that are calm, and those that have a kinked tet, as they are now, (2, B) bool."""
-        self._find_calm_and_kinked()
-        return np.array([f.to_numpy()[: len(self.bodies)] != 0 for f in (self.calm, self.kinked)])
+        """The bodies that are slow now, and those that have a kinked tet, (2, B) bool."""
+        self._find_slow_and_kinked()
+        return np.array([f.to_numpy()[: len(self.bodies)] != 0 for f in (self.slow, self.kinked)])
 
     @ti.kernel
-    def _find_calm_and_kinked(self):
+    def _find_slow_and_kinked(self):
         s = self.state
         for b in range(MAX_BODIES):
-            self.calm[b], self.kinked[b] = 1, 0
+            self.slow[b], self.kinked[b] = 1, 0
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
                 if 0.5 * s.density[b] * s.v[i].norm_sqr() > SOFT_YOUNG:
-                    self.calm[b] = 0
+                    self.slow[b] = 0
         for t in range(s.T):
             if t < s.tet_count[None]:
                 a = s.tets[t]
@@ -218,7 +214,7 @@ class Untangling:
         self._upload([self.active, inverted, constants[:, 0], constants[:, 1]])
 
     @ti.kernel
-    def _lead(self, t: ti.f32):
+    def _move(self, t: ti.f32):
         s = self.state
         total = ti.static(self.reductions.total)
         for b in range(MAX_BODIES):

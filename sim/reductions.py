@@ -92,9 +92,9 @@ class ReductionBlocks:
 
 
 class Observation:
-    """`moved` and `bodies` of the solver at a time, by a look at the device, which is waited for once they are wanted.
+    """State of all bodies at one time; the device is waited for when a property is first read.
 
-    That must be before the solver does anything else.
+    Read it before the solver does anything else.
     """
 
     def __init__(self, reductions: "Reductions", held: list[bool]):
@@ -165,7 +165,7 @@ class Reductions:
         return states
 
     def observe(self, held: list[bool]) -> "Observation":
-        """Launch one look at the device, or none if nothing has changed since the last."""
+        """Launch the sums over all bodies, unless nothing has changed since the last ones."""
         if self._observed is None:
             self._observe()
             self._observed = Observation(self, held)
@@ -173,7 +173,7 @@ class Reductions:
         return self._observed.repeated()
 
     def observed(self) -> np.ndarray:
-        """Wait for the last look at the device, and return `total`."""
+        """Wait for the last sums, and return `total`."""
         total = self.total.to_numpy()
         self._flags = total[:, INVERTED:].T
         return total
@@ -193,7 +193,7 @@ class Reductions:
         return self._boxes
 
     def forget(self) -> None:
-        """The bodies or their flags have changed: look at the device when they are wanted next."""
+        """The bodies or their flags have changed: read them from the device when they are wanted next."""
         self._flags = self._observed = self._boxes = None
 
     def finite(self) -> bool:

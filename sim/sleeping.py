@@ -5,9 +5,9 @@ bodies are linked if one of the listed constraints is between them: if they may 
 that are linked, directly or through others, are an island. A kinematic body belongs to the islands that it is linked
 with, but does not connect them.
 
-An island falls asleep after a frame in which all its bodies have rested for REST_TIME, and none is held, driven, led to
-its rest shape or near a finger. A search wakes the island of every body that is awake or near a finger, before the
-substeps. So what is awake never meets what sleeps: no contact is solved between them, and none has to know of sleep.
+An island falls asleep after a frame in which all its bodies have rested for REST_TIME, and none is held, driven,
+untangled or near a finger. A search wakes the island of every body that is awake or near a finger, before the substeps.
+So what is awake never meets what sleeps: no contact is solved between them, and none has to know of sleep.
 """
 
 from collections.abc import Iterable
@@ -44,7 +44,7 @@ class Sleeping:
 
     linked i64[B]: bodies that a body is linked with, as bits;   awake, touched i64: bodies awake, and near a finger
     anchor vec3[V]: where a vertex was when its body's rest began [m];   displaced i32[B]: it moved in this frame
-    falls i32[B]: it falls asleep after this frame;   order i32[R]: the candidates r, as -1 - r if both bodies sleep
+    settles i32[B]: it falls asleep after this frame;   order i32[R]: the candidates r, as -1 - r if both bodies sleep
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Sleeping:
         self._group = g
         self.linked, self.awake, self.touched = (g.scalar(*n, dtype=ti.i64) for n in ((MAX_BODIES,), (), ()))
         self.anchor = g.vector(state.V)
-        self.displaced, self.falls = (g.scalar(MAX_BODIES, dtype=ti.i32) for _ in range(2))
+        self.displaced, self.settles = (g.scalar(MAX_BODIES, dtype=ti.i32) for _ in range(2))
         self.order, self.kept = g.scalar(self.table.capacity, dtype=ti.i32), g.scalar(dtype=ti.i32)
         g.build()
         self._set = Upload([state.asleep, state.rest_time])
@@ -83,7 +83,7 @@ class Sleeping:
     def begin_frame(self, restless: set[int], gravity: tuple[float, ...]) -> bool:
         """Wake what is moved other than by contact; return whether all bodies sleep in this frame.
 
-        `restless` bodies, which are held, driven or led to their rest shape, stay awake; other gravity wakes all.
+        `restless` bodies, which are held, driven or untangled, stay awake; other gravity wakes all.
         """
         if not self.enabled:
             return False
@@ -206,22 +206,22 @@ class Sleeping:
                 for c in range(s.body_count[None]):
                     if has(island, c) and s.rest_time[c] < REST_TIME:
                         calm = False
-                self.falls[b] = calm
+                self.settles[b] = calm
         for i in range(s.V):
             if s.awake_vertex(i):
                 b = s.body_of_vertex[i]
                 if self.displaced[b]:
                     self.anchor[i] = s.x[i]
-                if self.falls[b]:
+                if self.settles[b]:
                     s.v[i], s.v_lo[i], s.dx[i] = 0.0, 0.0, 0.0
         for b in range(MAX_BODIES):
-            if self.falls[b]:
+            if self.settles[b]:
                 s.asleep[b] = 1
                 if ti.static(self.coupled):  # noqa: SIM102
                     if self.rigid.kind[b] == FREE:
                         m = self.rigid
                         m.v[b], m.v_lo[b], m.angular_momentum[b], m.angular_velocity[b] = 0.0, 0.0, 0.0, 0.0
-            self.displaced[b], self.falls[b] = 0, 0
+            self.displaced[b], self.settles[b] = 0, 0
 
 
 def bits(bodies: Iterable[int]) -> int:

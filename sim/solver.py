@@ -300,7 +300,7 @@ class Solver:
         models = self._model.bodies if body_models is None else tuple(body_models)
         self._change(MovingBodies(models, tuple(m.start for m in models), None))
         self._sleeping.restore(np.array([m.body.asleep for m in models], bool))
-        self.untangling.reset()
+        self.untangling.restore(None)
 
     def snapshot(self) -> dict:
         """Return all that `restore` needs: x, x_lo, v, v_lo (V, 3), bodies, grasps, untangling, asleep (B,).
@@ -374,7 +374,7 @@ class Solver:
             integrator=self._wanted_integrator,
             substep=self._wanted_substep,
             stiffest=model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing",
-            crossing=model.crossing,
+            crossing_time=model.crossing_time,
             device="cuda" if ti.cfg.arch == ti.cuda else "cpu",
         )
         longest = MAX_RIGID_SUBSTEP * SWEEPS[chosen.integrator]

@@ -93,7 +93,7 @@ class State:
         self.sliding_friction = g.scalar(B)  # kinetic coefficient
         self.max_step = g.scalar(B)  # the farthest that a vertex may move in a stable substep of XPBD [m]
         self.speed_limit = g.scalar(B)  # of this frame's substeps [m/s]
-        self.untangling = g.scalar(B, dtype=ti.i32)  # 1 while it is led to its rest shape, through itself
+        self.untangling = g.scalar(B, dtype=ti.i32)  # 1 while it is moved to its rest shape, through itself
         self.inverted = g.scalar(B, dtype=ti.i32)  # bit 0 is set by elasticity where a tet is inverted
         self.stress_lag = g.scalar(B)  # time [s] of this frame's substeps whose motion the stress does not see
         self.asleep = g.scalar(B, dtype=ti.i32)  # 1 while it is not simulated (sim/sleeping.py)

@@ -82,12 +82,12 @@ def choose_integration(
     integrator: str = "auto",
     substep: float | None = None,
     stiffest: str = "bodies",
-    crossing: float = math.inf,
+    crossing_time: float = math.inf,
     device: str = "cpu",
 ) -> Integration:
     """Choose for a largest kappa [1/s^2] and frames of frame_dt [s].
 
-    `stiffest` names the body in errors; `crossing` [s] is the shortest time in which a pressure wave crosses a body.
+    `stiffest` names the body in errors; a pressure wave crosses a body in `crossing_time` [s] or longer.
     "auto" is XPBD where its rule allows the forced substep, or without one if its substeps cost at most as much as
     VBD's on this device ("cuda" or "cpu"), else VBD. None: the longest substep of the rule, or VBD_SUBSTEP, or less
     after WAVE_CROSSINGS.
@@ -98,7 +98,7 @@ def choose_integration(
     if substep is not None and not 0 < substep <= frame_dt:
         raise BadInput(f"a substep must be between 0 and the frame of {frame_dt:.3g} s, not {substep:g} s")
     stable = substep is None or substep <= 1.0001 * longest
-    usual = min(VBD_SUBSTEP, frame_dt, WAVE_CROSSINGS * crossing)
+    usual = min(VBD_SUBSTEP, frame_dt, WAVE_CROSSINGS * crossing_time)
     cheap = substep is not None or usual <= VBD_COST[device] * longest
     if integrator == "vbd" or (integrator == "auto" and not (stable and cheap)):
         return Integration("vbd", substep or usual)

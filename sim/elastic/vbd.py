@@ -67,10 +67,10 @@ def tet_terms(e1, e2, e3, B, corner, V, mu, lam):
     c1 = f2.cross(f3)
     c = c1 * g[0] + f3.cross(f1) * g[1] + f1.cross(f2) * g[2]
     dJ, I1 = f1.dot(c1) - 1.0, f1.norm_sqr() + f2.norm_sqr() + f3.norm_sqr()
-    pull = mu * (1.0 - 2.0 * ti.max(1.0 - I1, 0.0)) * (F @ g) + (lam * dJ - mu) * c
+    force = mu * (1.0 - 2.0 * ti.max(1.0 - I1, 0.0)) * (F @ g) + (lam * dJ - mu) * c
     mu_t = mu * (COLLAPSING_STIFFNESS if I1 < COLLAPSING_I1 else 1.0)
     a = V * mu_t * shape_gradient(B, corner).norm_sqr()
-    return -V * ti.cast(pull, ti.f32), ti.cast(a, ti.f32), ti.cast(c, ti.f32), ti.cast(dJ, ti.f32)
+    return -V * ti.cast(force, ti.f32), ti.cast(a, ti.f32), ti.cast(c, ti.f32), ti.cast(dJ, ti.f32)
 
 
 @ti.data_oriented

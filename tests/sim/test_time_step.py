@@ -48,8 +48,8 @@ def test_a_frame_is_divided_evenly(substeps, searches, limit):
 def test_a_wave_crosses_few_lengths_of_a_body_in_a_substep():
     """Fewer crossings shorten the substep in proportion; below the least one, the material is softened instead."""
     usual = choose_integration(1e12, frame_dt=FRAME).substep
-    short, shorter = (choose_integration(1e12, frame_dt=FRAME, crossing=usual / n).substep for n in (20, 40))
-    assert choose_integration(1e12, frame_dt=FRAME, crossing=usual).substep == usual
+    short, shorter = (choose_integration(1e12, frame_dt=FRAME, crossing_time=usual / n).substep for n in (20, 40))
+    assert choose_integration(1e12, frame_dt=FRAME, crossing_time=usual).substep == usual
     assert short < usual and shorter == pytest.approx(short / 2)
     wood = Material(1e8, 0.3, 500.0)
     assert clamp_stiffness(wood, 0.2) is wood
@@ -57,8 +57,8 @@ def test_a_wave_crosses_few_lengths_of_a_body_in_a_substep():
     x, tets, surface = box((0.06, 0.06, 0.06), (1, 1, 1))
     straw = BodyModel.of(SoftBody("straw", x, tets, surface, Material(1e8, 0.49, 10.0)), [])
     assert straw.material.young < straw.body.material.young and straw.material.density == 10.0
-    chosen = choose_integration(1e12, frame_dt=FRAME, crossing=straw.crossing)
+    chosen = choose_integration(1e12, frame_dt=FRAME, crossing_time=straw.crossing_time)
     assert chosen.substep == pytest.approx(
-        choose_integration(1e12, frame_dt=FRAME, crossing=0.06 / wave_speed(straw.material)).substep
+        choose_integration(1e12, frame_dt=FRAME, crossing_time=0.06 / wave_speed(straw.material)).substep
     )
     assert straw.scaled(10.0).material.young == 1e8  # ten times as long to cross

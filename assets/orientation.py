@@ -313,7 +313,7 @@ def front_of(gaussians: Gaussians) -> tuple[float, float]:
     within 25 degrees.
 
     Faces, limbs and most made things are alike left and right, so the front lies in a mirror plane; and the front has
-    the pattern: eyes, a mouth, buttons. Of 54 shipped toys with a front 50 were turned to the right one, 4 wrongly.
+    the pattern: eyes, a mouth, buttons. Of 54 worn copies of shipped toys 51 were turned by it, 47 to their front.
     """
     from scipy.spatial import cKDTree
 

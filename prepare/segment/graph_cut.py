@@ -1,4 +1,4 @@
-"""Graphs of neighbours, and borders in them: random walks from seeds, the clearest border, forests; thinned splats."""
+"""Graphs of neighbouring points or Gaussians, and borders in them: random walks, sweep cuts, watersheds."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def inner(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def clearest_level(graph: csr_matrix, p: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """Nodes (N,) bool of the set {p > t}, with the seeds inside and without those outside, of least conductance over t.
+    """The set {p > t} (N,) bool of least conductance over all t, with the seeds inside and without those outside.
 
     Conductance: the weights of the edges that leave a set, over those of all edges at its nodes or at the others,
     whichever is less.                        Sweep cut of Andersen, Chung and Lang, Local graph partitioning, 2006
@@ -98,7 +98,7 @@ def clearest_level(graph: csr_matrix, p: np.ndarray, inside: np.ndarray, outside
 
 
 def most_alike(low: np.ndarray, high: np.ndarray, likeness: np.ndarray, cut: np.ndarray, fixed: np.ndarray):
-    """A cut (N,) bool in which nodes that are not `fixed` (N,) join the side that they are most alike with.
+    """The cut (N,) bool after nodes that are not `fixed` (N,) join the side that they are most alike with.
 
     low, high, likeness  (E,) edges, each once, 0..1. Most alike is the side to which a path leads whose least likeness
     is largest: each node is in its side's tree of the maximum spanning forest.    Cousty et al., Watershed cuts, 2009
@@ -153,8 +153,8 @@ def log_widths(gaussians: Gaussians) -> np.ndarray:
 def neighbours_of(points: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs (E,), (E,) of indices, each once, of neighbours, and the spacing (N,) of the points (N, 3) around each.
 
-    width (N,)  logarithms. The neighbours of a Gaussian are the nearest of those that are about as wide or wider: those
-    nearest to a wide one of the floor under a thing are all of the thing, and it would be cut off from the floor.
+    width (N,)  logarithms. The neighbours of a Gaussian are the nearest that are about as wide or wider: all that are
+    nearest to a wide one of the floor under an object belong to the object, and would cut it off from the floor.
     """
     n = len(points)
     k = min(NEIGHBOURS, n - 1)
@@ -171,10 +171,10 @@ def neighbours_of(points: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np
 
 
 def nearest_as_wide(points: np.ndarray, width: np.ndarray, some: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """The k nearest of `some` (M,) of the points that are about as wide as a point or wider, for each point.
+    """The k nearest points among `some` (M,) that are about as wide as each point, or wider.
 
-    points (N, 3); width (N,), as a logarithm. Returns their indices among all, int32, and distances, (N, k) each. For
-    the widest points narrower ones count, so that they have k, too.
+    points (N, 3); width (N,), as a logarithm. Returns their indices, int32, and distances, (N, k) each. The
+    widest points may have narrower ones, so that they have k, too.
     """
     octave = np.floor(width / np.log(2.0))
     octave = np.minimum(octave, np.partition(octave[some], len(some) - k)[len(some) - k])
@@ -209,7 +209,7 @@ def quadratic_form(sigma: np.ndarray, d: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Thinned:
-    """`some` (M,) of N Gaussians, these as `gaussians`, and the one that stands for each: `cell` (N,), in 0..M-1."""
+    """Some of N Gaussians: indices `some` (M,), these widened, and which of them stands for each, `cell` (N,)."""
 
     some: np.ndarray
     gaussians: Gaussians
@@ -217,10 +217,7 @@ class Thinned:
 
 
 def thinned(gaussians: Gaussians, most: int) -> Thinned:
-    """At most so many of the Gaussians, evenly spread; the given ones lie in Morton order.
-
-    For each of these stands the nearest of those that is about as wide or wider.
-    """
+    """At most `most` of Gaussians in Morton order; the nearest that is about as wide stands for each."""
     step = -(-len(gaussians) // most)
     points = gaussians.means.astype(np.float64)
     some = np.arange(step // 2, len(points), step, dtype=np.int32)
@@ -232,7 +229,7 @@ def thinned(gaussians: Gaussians, most: int) -> Thinned:
 
 
 def widened(gaussians: Gaussians, factor: float) -> Gaussians:
-    """The Gaussians with so many times their area: their two larger scales grow, and the surface gets no thicker."""
+    """The Gaussians with `factor` times their area: the two larger scales grow, the surface gets no thicker."""
     scales = gaussians.log_scales.copy()
     scales += np.float32(0.5 * np.log(factor)) * (scales > scales.min(axis=1, keepdims=True))
     return replace(gaussians, log_scales=scales)

@@ -55,7 +55,7 @@ class Masks:
 
 
 def overlap_of(found: Masks, truth: Masks) -> dict[str, float]:
-    """Intersection over union of each true object with the found one of its name, over the pixels of all true masks."""
+    """Intersection over union of each true object with the found object of that name, over all true masks."""
     result = {}
     for k, name in enumerate(truth.names):
         label = found.names.index(name) + 1 if name in found.names else -1

@@ -38,12 +38,10 @@ def logit(p: float) -> float:
 class AdaptiveDensity:
     """Kerbl 2023, Sec. 5: clone and split where positional gradients are large, prune what is faint, reset opacities.
 
-    Large Gaussians are not pruned as they are there: what lies far behind the objects is meant to be large.
+    Unlike there, large Gaussians are not pruned: what lies far behind the objects is meant to be large.
 
     cap      upper limit of Gaussians, frozen ones included; those with the largest gradients are divided first
-    budgeted the limit rises to `cap` by a schedule, fast at first, so that early steps cost less
     resets   opacities are lowered each RESET_EVERY steps
-    start    Gaussians from which the schedule begins
     """
 
     population: Population
@@ -52,9 +50,7 @@ class AdaptiveDensity:
     rng: np.random.Generator
     opacity_cost: float = 0.0
     scale_cost: float = 0.0
-    budgeted: bool = False
     resets: bool = True
-    start: int = 0
 
     def after(self, step: int, steps: int, mean_rate: float) -> None:
         """Act after a step, counted from 1, of `steps`."""
@@ -62,25 +58,20 @@ class AdaptiveDensity:
         if step >= stop:
             return
         if step > START and step % EVERY == 0:
-            self.refine(self.budget((step - START) / max(1, stop - START)))
+            self.refine()
         if self.resets and step % RESET_EVERY == 0:
             self.population.limit_logits(self.population.frozen, self.population.count, logit(OPACITY_RESET))
             self.population.activate()
 
-    def budget(self, progress: float) -> int:
-        """Limit of Gaussians at a fraction of the growth phase: the cap, or a parabola that rises to it."""
-        grown = progress * (2.0 - progress) if self.budgeted else 1.0
-        return self.start + round((self.cap - self.start) * grown)
-
-    def refine(self, most: int | None = None) -> None:
-        """Clone, split and prune once, up to `most` Gaussians (default: the cap)."""
+    def refine(self) -> None:
+        """Clone, split and prune once, up to `cap` Gaussians."""
         p = self.population
         n = p.count
         gradient = p.gradient_sum.to_numpy()[:n] / np.maximum(p.gradient_count.to_numpy()[:n], 1.0)
         gradient[: p.frozen] = 0.0
         scale = np.exp(p.parameters.log_scale.to_numpy()[:n].max(axis=1))
         divided = np.flatnonzero(gradient > GRADIENT_MIN)
-        room = max(0, min(self.cap if most is None else most, p.capacity) - n)
+        room = max(0, min(self.cap, p.capacity) - n)
         if len(divided) > room:
             divided = np.sort(divided[np.argsort(-gradient[divided], kind="stable")[:room]])
         added = np.arange(n, n + len(divided))
@@ -173,7 +164,7 @@ def shared_opacity_and_scale(opacity: np.ndarray, copies: np.ndarray) -> tuple[n
 
 
 def near_depth(depth: np.ndarray, alpha: np.ndarray) -> float:
-    """Depth that all but NEAR_SHARE of a picture's opaque pixels lie beyond; NaN if it has none."""
+    """Depth beyond which all but NEAR_SHARE of a picture's opaque pixels lie; NaN if it has none."""
     opaque = alpha > MIN_ALPHA
     return float(np.quantile(depth[opaque], NEAR_SHARE)) if opaque.any() else float("nan")
 
@@ -181,8 +172,8 @@ def near_depth(depth: np.ndarray, alpha: np.ndarray) -> float:
 def free_radii(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
     """Radii (V,) of the balls around the cameras where nothing was photographed; depths: the views' near depths (V,).
 
-    They reach to the next camera at most: the photographer walked there. So where photographs are dense, a wall close
-    behind the cameras stays. 0 where a view shows nothing.
+    They reach to the next camera at most, so that a wall close behind a dense row of cameras stays. 0 where a view
+    shows nothing.
     """
     positions = np.array([c.position for c in cameras])
     apart = np.linalg.norm(positions[:, None] - positions, axis=2)

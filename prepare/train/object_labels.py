@@ -1,4 +1,4 @@
-"""Labels: three learned numbers per Gaussian that tell its object, and the segmentation loss."""
+"""Labels, three learned numbers per Gaussian that encode its object, and the segmentation loss."""
 
 import numpy as np
 import taichi as ti
@@ -20,8 +20,7 @@ vec3 = ti.math.vec3
 def label_colors(count: int) -> np.ndarray:
     """Labels of the background, black, and of `count` objects, (count + 1, 3) float64 in 0..1, far from each other.
 
-    Each next one is the lattice point farthest from all before it. They replace the colours of the masks, which may be
-    arbitrarily similar.
+    Each one is the lattice point farthest from all before it. They replace the masks' colours, which may be alike.
     """
     side = 2
     while side**3 <= count:

@@ -34,13 +34,12 @@ def _has_points(capture: Capture) -> bool:
 
 
 def with_background(capture: Capture, photographs: Sequence[Photograph], rng: np.random.Generator) -> Capture:
-    """The capture with points behind each cell of a photograph in which none of its own points lies.
+    """Add points behind the cells of photographs in which no sparse point lies.
 
-    Sparse points may lie on an object alone, when its masks chose what was matched. Then a training makes the
-    background of Gaussians that split off the object and hang before it in other views. The new points lie where rays
-    through pixels that count leave spheres around all cameras, whose inverse radii are uniform between those of the
-    extent and of FARTHEST extents: the background of NeRF++ (Zhang 2020). Black pixels need none, and a capture without
-    points stays without.
+    If masks chose what was matched, sparse points lie on an object alone. A training would then make the background of
+    Gaussians that split off the object, and hang in front of it in other views. The new points lie on rays through
+    pixels that count, on spheres around all cameras whose inverse radii are uniform between those of the extent and of
+    FARTHEST extents: the background of NeRF++ (Zhang 2020). Black pixels need none, nor does a capture without points.
     """
     if not _has_points(capture):
         return capture
@@ -60,7 +59,7 @@ def with_background(capture: Capture, photographs: Sequence[Photograph], rng: np
 
 
 def _pixels_without_points(points: np.ndarray, p: Photograph, rng: np.random.Generator) -> tuple:
-    """Rows and columns of random pixels of the cells in which no point lies, of those that count and are not black."""
+    """Rows and columns of random pixels in the cells without a point; only of those that count and are not black."""
     height, width = p.mask.shape
     x, y, z = p.camera.projected(points)
     x, y = x / width, y / height

@@ -28,7 +28,6 @@ class TrainOptions:
     sparse           Adam skips Gaussians outside the picture
     harmonics_every  harmonics above degree 0 are updated only every so many steps
     degree_interval  steps after which one more degree of the harmonics is learned
-    budgeted         the number of Gaussians follows a schedule towards `cap` (see `AdaptiveDensity`)
     resets           opacities are lowered periodically; Gaussians whose opacity does not recover are pruned
     """
 
@@ -47,7 +46,6 @@ class TrainOptions:
     sparse: bool = False
     harmonics_every: int = 1
     degree_interval: int = 1000
-    budgeted: bool = False
     resets: bool = True
 
 

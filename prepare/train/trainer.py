@@ -119,8 +119,7 @@ class Trainer:
         self.population = Population(start, capacity, options.frozen, labelled=bool(self.objects))
         self.strategy = STRATEGIES[options.strategy](self.population, extent, options.cap, self.rng)
         if isinstance(self.strategy, AdaptiveDensity):
-            self.strategy.budgeted, self.strategy.resets = options.budgeted, options.resets
-            self.strategy.start = len(start)
+            self.strategy.resets = options.resets
         self.views = TrainingViews(photographs, options.coarse, len(self.objects))
         cameras = self.views.cameras
         size = max(c.height for c in cameras), max(c.width for c in cameras)
@@ -286,7 +285,7 @@ def write_checkpoint(path: Path, state: dict[str, np.ndarray], options: dict) ->
 
 
 def read_checkpoint(path: Path, options: dict, like: dict[str, np.ndarray], views: int) -> dict[str, np.ndarray]:
-    """The state of a trainer of `views` photographs with the same options, whose states are `like` that. Raises
+    """The state of a trainer of `views` photographs with the same options; `like` is any of its states. Raises
     BadInput."""
     with open_hdf5(path) as file:
         if file.text("", "format") != FORMAT or file.number("", "version") != VERSION:

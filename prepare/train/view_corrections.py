@@ -121,10 +121,9 @@ class Exposures(ViewAdam):
 class Poses(ViewAdam):
     """A twist (rotation [rad], translation [extents]) that multiplies each view's world_to_camera from the left.
 
-    steps  of the training, in which all views take turns: a view that is seen seldom takes longer steps
+    steps  of the training, in which all views take turns: with more views each takes longer steps
 
-    All together they neither move, turn nor scale the capture: Gaussians would follow, away from views that keep their
-    poses, and nothing would be gained.
+    Together they neither move, turn nor scale the capture: the Gaussians would only follow.
     """
 
     def __init__(self, given: list[np.ndarray], extent: float, steps: int):

@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
 def test_a_training_is_measured_and_its_stages_are_timed(ti_cpu, folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(training_speed, "STAGE_STEPS", 2)
     words = ["bench", "train", str(folder), "--steps", "24", "--at", "12", "--cap", "300", "--arch", "cpu"]
-    variants = ["degree=1,coarse=0.5,sparse=1,harmonics_every=2,degree_interval=6,resets=0,budgeted=1"]
+    variants = ["degree=1,coarse=0.5,sparse=1,harmonics_every=2,degree_interval=6,resets=0"]
     assert main([*words, "--variants", *variants, "--json", str(tmp_path / "rows.json")]) == 0
     said = capsys.readouterr().out
     rows = json.loads((tmp_path / "rows.json").read_text())

@@ -18,9 +18,11 @@ from scipy.spatial.transform import Rotation
 from assets.file_access import file_size
 from assets.formats.gltf import srgb_from_linear
 from assets.gaussians import MAGNITUDE_MAX, Gaussians, concatenate
-from core.blue_noise import blue_noise
-from core.edge_sampling import (
+from core.errors import BadInput
+from core.mesh_sampling import (
     EdgePoints,
+    Mesh,
+    blue_noise,
     clip_to_edges,
     distance_to_edges,
     edges_of,
@@ -28,9 +30,7 @@ from core.edge_sampling import (
     points_along,
     rows_along,
 )
-from core.errors import BadInput
 from core.spherical_harmonics import C0
-from core.triangle_mesh import Mesh
 
 GREY = 0.7  # display value of a mesh without colours
 FACES_MAX = 5_000_000

@@ -16,7 +16,7 @@ import taichi as ti
 
 from assets.asset import Asset
 from assets.gaussians import Gaussians
-from bench.synthetic_room import box_surface, turns_to
+from bench.render_speed import box_surface, turns_to
 from core.camera import look_at, perspective
 from core.material import Material
 from core.spherical_harmonics import C0

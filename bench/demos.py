@@ -15,7 +15,7 @@ import numpy as np
 import taichi as ti
 
 from assets.library import search_first
-from bench.stereo_play import RATE, StereoPlay
+from bench.frame_time import RATE, StereoPlay
 from scenes import registry
 from scenes.paper_demos import PaperDemo, paper_demos, use_paper_assets
 

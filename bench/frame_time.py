@@ -1,21 +1,118 @@
 """`vrgs.py bench frame`: a headset's frame without a headset: ring toss in stereo, scripted hands, up to the textures.
 
-Both eyes of 1800x1920, with the player's hands and finger contact. As in a headset, the head is located after the
-simulation, at the start of drawing; the time from there until the picture is in the eyes' textures is the program's
-part of the motion-to-photon latency. The runtime then waits for its next refresh, half a period on average. Times of
-single stages wait for the device after each stage, which takes longer than the frame itself.
+Two eyes of 1800x1920, a head that sways, hands drawn and in contact. As in a headset, the head is located after the
+simulation, at the start of drawing; the time from there to the finished picture is measured by itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
+from time import perf_counter
 
 import numpy as np
 
-from bench.stereo_play import EYE_SIZE, RATE, StereoPlay
+from core.camera import Camera, look_at
+from core.fields import destroy_fields, keep_compiled_kernels
+from display.protocol import Frame
+from display.timing import Timings
+from display.world import World
+from display.xr import avatar
+from display.xr.actions import Controller
 from display.xr.headset import NoMirror
 from display.xr.swapchains import FRAGMENT, VERTEX
 from scenes import ring_toss
+from scenes.scene import Scene
+
+EYE_SIZE = (1800, 1920)  # [px] of an eye
+APART = 0.064  # [m] between the eyes
+RATE = 90.0  # [Hz]
+REACH = (0.2, -0.3, 0.4)  # [m] of each hand from the head: sideways, up, forwards
+
+
+class StereoPlay:
+    """A running world, and its frames of 1/90 s.
+
+    frame_ms, photon_ms  of each frame since `start`: all of it, and from where the head is located to its end
+    """
+
+    def __init__(self, scene: Scene, size: tuple[int, int] = EYE_SIZE) -> None:
+        self.scene, self.size = scene, size
+        hands = avatar.skins()
+        self.hand_gaussians = sum(len(skin.gaussians) for skin in hands)
+        self.world = World(scene, width=size[0], height=size[1], views=2, fingers=True, props=hands)
+        self.world.script_dt = 1 / RATE  # each frame is simulated, as with hands of a player's
+        self.world.warm_up()
+        self.frame_ms: list[float] = []
+        self.photon_ms: list[float] = []
+        self._world_from_head = np.linalg.inv(look_at(scene.eye, scene.target))
+        self._count = 0
+
+    def close(self) -> None:
+        """Free the world's device memory."""
+        with keep_compiled_kernels():
+            destroy_fields(list(vars(self.world.device).values()))
+
+    def start(self, *, exact: bool) -> None:
+        """Put the scene at its start and begin to measure; with `exact` each stage waits for the device."""
+        self.world.reset()
+        self.world.timings = Timings(exact=exact)
+        self.frame_ms, self.photon_ms = [], []
+
+    def play(self, frames: int, present: Callable[[], None]) -> None:
+        """Play frames; `present` shows the picture and waits for the device. A game that is over begins again."""
+        for _ in range(frames):
+            if self.scene.game is not None and self.world.time > self.scene.game.duration:
+                self.world.reset()
+            self._frame(present)
+
+    def _frame(self, present: Callable[[], None]) -> None:
+        k, located = self._count, perf_counter()
+
+        def cameras() -> list[Camera]:
+            nonlocal located
+            located = perf_counter()
+            return self.eyes(k)
+
+        begin = perf_counter()
+        poses = avatar.hidden()
+        for h, controller in enumerate(self.controllers(k)):
+            avatar.show_hand(poses, h, controller, np.eye(4), 0.0)
+        hands = self.world.scripted_hands(self.world.time)
+        self.world.step(Frame(1 / RATE, k / RATE, cameras, hands, [], prop_poses=poses))
+        with self.world.timings.stage("present"):
+            present()
+        end = perf_counter()
+        self.frame_ms.append(1e3 * (end - begin))
+        self.photon_ms.append(1e3 * (end - located))
+        self._count += 1
+
+    def eyes(self, k: int) -> list[Camera]:
+        """Both eyes of a head that sways: one to the left, one to the right, looking the same way."""
+        sway = (0.05 * math.sin(0.02 * k), 0.02 * math.sin(0.013 * k), 0.0)
+        between = look_at([e + s for e, s in zip(self.scene.eye, sway, strict=True)], self.scene.target)
+        width, height = self.size
+        f, cameras = 0.55 * width, []
+        for side in (0.5, -0.5):
+            view = between.copy()
+            view[0, 3] += side * APART
+            cameras.append(Camera(width, height, f, f, width / 2, height / 2, view))
+        return cameras
+
+    def controllers(self, k: int) -> list[Controller]:
+        """Both hands before the head, in motion."""
+        result = []
+        for side in (-1, 1):
+            c = Controller()
+            aside, up, ahead = REACH
+            sway = (0.03 * math.sin(0.05 * k), 0.05 * math.sin(0.07 * k))
+            at = self._world_from_head @ (side * aside + sway[0], -up - sway[1], ahead, 1.0)
+            c.grip = np.eye(4)
+            c.grip[:, 3] = at
+            c.aim = c.grip
+            result.append(c)
+        return result
+
 
 FRAMES = 1000
 WARM_FRAMES = 2  # warm-up frames: kernels are compiled, and everything is in motion

@@ -14,11 +14,11 @@ import scipy.sparse.linalg as spla
 import taichi as ti
 
 from bench.sample_meshes import box
-from bench.setups import strain_energy
 from core.material import RAYLEIGH_FREQUENCY, Material
 from core.runtime import start_taichi
 from core.tetmesh import tet_volumes
 from core.vocabulary import Plane
+from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1
 from sim.model import SoftBody
 from sim.solver import Solver
 
@@ -361,3 +361,22 @@ def positions_of_another_process(contacts: bool) -> np.ndarray:
 
 
 ALL = (free_fall, statics, vibration, decay, spinning_bar, recovery)
+
+
+def strain_energy(body, x: np.ndarray) -> float:
+    """Elastic energy [J] of a body at x (V, 3)."""
+    return float(tet_energies(body, x)[0].sum())
+
+
+def tet_energies(body, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """V (mu/2 (tr F^T F - 3) - mu (J - 1) + lam/2 (J - 1)^2) [J] of each tet of a body at x (V, 3), (T,) float64.
+
+    Also whether the tet is so far from rest that a single sweep of XPBD shortens its step, (T,) bool.
+    """
+    mu, lam = body.material.lame_parameters
+    lam += mu
+    corners = x[body.shape.tets]
+    F = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2) @ body.shape.inverse
+    I1, dJ = (F**2).sum((1, 2)), np.linalg.det(F) - 1
+    density = mu / 2 * (I1 - 3) - mu * dJ + lam / 2 * dJ**2
+    return body.shape.volumes * density, (I1 > STRETCHED_I1) | (dJ < CRUSHED_DJ)

@@ -1,12 +1,244 @@
-"""Rows of the physics table for bodies in contact, in the form of bench/physics.py.
+"""Bodies in contact: set-ups that measurements and tests share, and their rows of the physics table.
 
-Functions on rigid bodies take a `playground()` or create one. Taichi must be initialised.
+Rigid bodies on a floor, a pile of soft bodies, rings thrown on pegs. Taichi must be initialised.
 """
 
-import numpy as np
+from collections.abc import Sequence
+from itertools import pairwise
 
-from bench.physics import at_most, row
-from bench.setups import DROP, FRAME, RESTITUTIONS, SIDE, G, linked_throws, playground, resting_pile, run
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bench.physics import at_most, row, tet_energies
+from bench.sample_meshes import box, torus
+from core.material import Material
+from core.vocabulary import Capsule, Hand, Plane
+from sim.model import SoftBody
+from sim.rigid.rigid_body import RigidBody
+from sim.solver import Solver
+
+FRAME, G = 1 / 60, 9.81
+FLOOR = Plane((0, 0, 0), (0, 1, 0), 0.6)
+
+
+def run(solver: Solver, seconds: float, hands: Sequence[Hand] = ()) -> None:
+    """Step a solver for some seconds with hands that stay where they are."""
+    for _ in range(round(seconds / FRAME)):
+        solver.step(FRAME, hands)
+
+
+# ---- rigid bodies, in groups far apart in one solver, so that kernels are compiled once
+
+SIDE = 0.1  # [m] of the boxes
+DROP = 0.5  # [m]
+RESTITUTIONS = (0.0, 0.5, 0.8)
+BRICK = (0.2, 0.06, 0.1)
+OCTAHEDRON = 0.07 * np.concatenate([np.eye(3), -np.eye(3)])
+
+
+def playground() -> tuple[Solver, dict[str, slice]]:
+    """The solver, and the range of body indices of each group."""
+    bodies, where = [], {}
+    for group in (stack, bouncing, wall, heavy_on_light, conveyor, sliding, aligned):
+        new = group()
+        where[group.__name__] = slice(len(bodies), len(bodies) + len(new))
+        bodies += new
+    return Solver(bodies, [FLOOR], hands=1, sleep=False), where
+
+
+def cube(name: str, x: float, y: float, z: float, **options) -> RigidBody:
+    """A box of SIDE with its lower face at height y."""
+    options.setdefault("density", 1000.0)
+    return RigidBody.box(name, (SIDE,) * 3, position=(x, y + SIDE / 2, z), **options)
+
+
+def stack() -> list[RigidBody]:
+    """Five boxes on top of one another, not quite aligned."""
+    return [cube(f"stack {k}", 0.003 * (-1) ** k, SIDE * k, 0.002 * (k % 3)) for k in range(5)]
+
+
+def bouncing() -> list[RigidBody]:
+    """For each restitution a box on a face and an octahedron on a vertex, DROP above the floor."""
+    bodies = []
+    for k, e in enumerate(RESTITUTIONS):
+        bodies.append(cube(f"box {e}", 2 + k, DROP, 0, restitution=e))
+        options = {"position": (2 + k, DROP + 0.07, 1), "restitution": e, "density": 1000.0}
+        bodies.append(RigidBody.convex(f"octahedron {e}", OCTAHEDRON, **options))
+    return bodies
+
+
+def wall(courses: int = 4, length: int = 3) -> list[RigidBody]:
+    """Bricks in a running bond."""
+    bricks = []
+    for course in range(courses):
+        for k in range(length - course % 2):
+            x = (k + 0.5 * (course % 2)) * (BRICK[0] + 0.002)
+            y = (course + 0.5) * BRICK[1]
+            bricks.append(RigidBody.box(f"brick {course} {k}", BRICK, density=1800.0, position=(x, y, 6)))
+    return bricks
+
+
+def heavy_on_light() -> list[RigidBody]:
+    """A box on one of a hundredth of its mass."""
+    return [cube("light", 0, 0, 10), cube("heavy", 0.01, SIDE, 10, density=100_000.0)]
+
+
+def sliding() -> list[RigidBody]:
+    """A flat box."""
+    return [RigidBody.box("slider", (0.1, 0.04, 0.1), density=1000.0, position=(0, 0.02, 18))]
+
+
+def aligned() -> list[RigidBody]:
+    """Three boxes on top of one another, edge on edge."""
+    return [cube(f"aligned {k}", 0, SIDE * k, 22) for k in range(3)]
+
+
+def conveyor() -> list[RigidBody]:
+    """A kinematic plate and a box on it."""
+    plate = RigidBody.box("plate", (1.0, 0.05, 0.4), density=1000.0, position=(0, 0.5, 14), kinematic=True)
+    return [plate, cube("load", 0, 0.525, 14)]
+
+
+# ---- a pile of soft bodies that comes to rest
+
+PILE_SIDE = 0.08  # [m] of its cubes
+PILE_RUBBER = Material(young=5e4, poisson=0.4, density=1100.0, friction=0.6, damping=4.0)
+
+
+def pile(*, sleep: bool) -> Solver:
+    """Two stacks of two cubes, a ring on top of the first, and two rings lying beside the second."""
+    x, tets, surface = box((PILE_SIDE,) * 3, (2, 2, 2))
+    ring = torus(0.08, 0.016, 16, 2)
+    turned = (np.cos(0.2), 0, np.sin(0.2), 0)
+    cubes = [(0, 0.041, 0), (0.005, 0.123, 0), (0.3, 0.041, 0), (0.3, 0.125, 0.01)]
+    rings = [(0, 0.19, 0.01), (0.6, 0.02, 0), (0.61, 0.06, 0.02)]
+    bodies = [
+        SoftBody(f"cube{k}", x - PILE_SIDE / 2, tets, surface, PILE_RUBBER, turned if k % 2 else (1, 0, 0, 0), p)
+        for k, p in enumerate(cubes)
+    ]
+    bodies += [SoftBody(f"ring{k}", *ring, PILE_RUBBER, position=p) for k, p in enumerate(rings)]
+    return Solver(bodies, [Plane((0, 0, 0), (0, 1, 0))], hands=0, sleep=sleep)
+
+
+def resting_pile(seconds: float = 60.0, skipped: float = 1.0) -> dict:
+    """Simulate the pile for `seconds` and measure it after the first `skipped` [s].
+
+    gained [J]: the largest growth of the total energy over its minimum so far; kinetic_start, kinetic_end [J]: the
+    largest kinetic energy in the first and in the last second; drift [m]: of any vertex in the last second.
+    """
+    solver = pile(sleep=False)
+    frames, first = round(seconds / FRAME), round(skipped / FRAME)
+    least, gained, kinetic, before = np.inf, 0.0, [], None
+    for k in range(frames):
+        solver.step(FRAME, [])
+        if k < first:
+            continue
+        energy = energies(solver)
+        total = energy["kinetic"] + energy["elastic"] + energy["potential"]
+        least = min(least, total)
+        gained = max(gained, total - least)
+        kinetic.append(energy["kinetic"])
+        if k == frames - 60:
+            before = solver.snapshot()["x"]
+    drift = np.linalg.norm(solver.snapshot()["x"] - before, axis=1).max()
+    return {
+        "gained": gained,
+        "kinetic_start": max(kinetic[:60]),
+        "kinetic_end": max(kinetic[-60:]),
+        "drift": float(drift),
+    }
+
+
+def energies(solver: Solver) -> dict[str, float]:
+    """Kinetic, elastic and potential energy [J] and the weight [N] of all soft bodies.
+
+    far: the part of the elastic energy that is in tets whose XPBD step is shortened (sim/elastic/energy.py). Their
+    forces are less than this energy's gradient, so what their neighbours store in them may be more than they give back.
+    """
+    q, g = solver.snapshot(), -solver.gravity[1]
+    x, v = q["x"].astype(np.float64) + q["x_lo"], q["v"].astype(np.float64)
+    shortened = solver.stats["integrator"] == "xpbd"
+    result = dict.fromkeys(("kinetic", "elastic", "far", "potential", "weight"), 0.0)
+    for body, (begin, end) in zip(q["bodies"], pairwise(solver.vertex_offset), strict=False):
+        rows = slice(begin, end)
+        elastic, far = tet_energies(body, x[rows])
+        result["kinetic"] += 0.5 * body.mass @ (v[rows] ** 2).sum(1)
+        result["elastic"] += elastic.sum()
+        result["far"] += shortened * elastic[far].sum()
+        result["potential"] += g * (body.mass @ x[rows, 1])
+        result["weight"] += g * body.mass.sum()
+    return {name: float(value) for name, value in result.items()}
+
+
+# ---- rings thrown on pegs
+
+RING_MATERIAL = Material.named("silicone")
+PEG_HEIGHT = 0.4  # [m]; a floor and a ceiling close the pegs: only a ring that tunnels gets loose
+PEG_SPACING = 1.0  # [m]
+RING, TUBE = 0.08, 0.016  # [m] as the rings of the ring toss
+MOST_RINGS = 16  # in one solver
+
+
+def linked_throws(
+    count: int = 100,
+    speed: float = 5.0,
+    *,
+    peg: float = 0.02,
+    stretch: float = 1.0,
+    around: int = 24,
+    across: int = 2,
+    seconds: float = 1.0,
+    seed: int = 0,
+) -> int:
+    """Number of `count` rings that stay on their pegs, thrown from there at up to `speed` [m/s] and spinning.
+
+    Pegs are `peg` [m] thick; rings start at `stretch` times their size, and have cages of `around` x `across`^2 cells.
+    """
+    rng, kept = np.random.default_rng(seed), 0
+    rings = min(MOST_RINGS, count)
+    x, tets, surface = torus(RING, TUBE, around, across)
+    feet = [(PEG_SPACING * (k % 4), 0.0, PEG_SPACING * (k // 4)) for k in range(rings)]
+    bodies = [SoftBody(f"ring{k}", x, tets, surface, RING_MATERIAL, position=foot) for k, foot in enumerate(feet)]
+    pegs = [Capsule(foot, (foot[0], PEG_HEIGHT, foot[2]), peg / 2) for foot in feet]
+    lids = [Plane((0, 0, 0), (0, 1, 0)), Plane((0, PEG_HEIGHT, 0), (0, -1, 0))]
+    solver = Solver(bodies, [*pegs, *lids], hands=0, sleep=False)
+    for first in range(0, count, rings):
+        starts = [thrown(rng, stretch * x, foot, speed, peg) for foot in feet]
+        solver.restore({name: np.concatenate([s[k] for s in starts]) for k, name in enumerate(("x", "v"))})
+        linked = np.ones(rings, bool)
+        for _ in range(round(seconds / FRAME)):
+            solver.step(FRAME, [])
+            now = solver.snapshot()["x"].astype(np.float64).reshape(rings, around, -1, 3).mean(2)  # centre lines
+            linked &= [abs(winding_number(line - foot)) == 1 for line, foot in zip(now, feet, strict=True)]
+        kept += int(linked[: count - first].sum())
+    return kept
+
+
+def thrown(rng, x, foot, speed, peg) -> tuple[np.ndarray, np.ndarray]:
+    """Random positions and velocities (V, 3) of a ring that encloses its peg without touching it."""
+    while True:
+        axis, angle = rng.normal(size=3), rng.uniform(0, 1.0)
+        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        p = x @ turn.T + rng.uniform(-0.5, 0.5, 3) * RING * (1, 0, 1)
+        p[:, 1] += PEG_HEIGHT / 2 + rng.uniform(-0.5, 0.5) * PEG_HEIGHT / 2
+        distance = np.hypot(p[:, 0], p[:, 2]).min()
+        clear = distance > peg / 2 + 0.3 * TUBE and p[:, 1].min() > 0 and p[:, 1].max() < PEG_HEIGHT
+        order = np.argsort(np.arctan2(x[:, 2], x[:, 0]))
+        if clear and abs(winding_number(p[order])) == 1:
+            break
+    direction = rng.normal(size=3)
+    omega = rng.normal(size=3)
+    omega *= rng.uniform(0, speed / 2) / RING / np.linalg.norm(omega)
+    v = rng.uniform(0.3, 1.0) * speed * direction / np.linalg.norm(direction)
+    return p + foot, v + np.cross(omega, p - p.mean(0))
+
+
+def winding_number(line) -> int:
+    """Turns of a closed line of points (N, 3) around the y axis."""
+    angle = np.arctan2(line[:, 2], line[:, 0])
+    step = np.diff(np.append(angle, angle[0]))
+    return round(((step + np.pi) % (2 * np.pi) - np.pi).sum() / (2 * np.pi))
+
 
 TIP_HEIGHT = 0.07  # [m] of an octahedron's centre over its lowest vertex
 MOST_GAINED = 1e-5  # [J]; it lifts a cube of the pile by 2 um

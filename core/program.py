@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TypeVar
+
+from core.errors import BadInput
 
 VERSION = "0.1.0"
 ONE_FILE = bool(getattr(sys, "frozen", False))  # the executable of `make binary`: it unpacks itself at each start
@@ -37,3 +43,38 @@ def cache_folder() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "vrgs"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vrgs"
+
+
+INSTALL = "pip install -r studio/requirements.txt"
+
+
+def check_open3d(user: str) -> None:
+    """Raise BadInput, with a remedy, where open3d is not installed; takes no time. `user` is what needs it."""
+    if ONE_FILE:
+        raise BadInput(f"{user} needs the package open3d, which this executable leaves out: run it from the source")
+    if find_spec("open3d") is None:
+        raise BadInput(f"{user} needs the package open3d: {INSTALL}")
+
+
+def open3d(user: str):
+    """The module open3d. Raises BadInput where it is missing or does not load."""
+    check_open3d(user)
+    try:
+        import open3d
+    except (ImportError, OSError) as e:  # OSError: it loads system libraries, such as libusb
+        raise BadInput(f"{user} needs the package open3d, which does not load ({e})") from e
+    return open3d
+
+
+Item, Result = TypeVar("Item"), TypeVar("Result")
+
+
+def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """The function of each item, in the items' order, as many at a time as there are processor cores."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(function, items))
+
+
+def batches(count: int, size: int) -> list[slice]:
+    """Slices of `size` that cover `count` items; the last may be shorter. None for none."""
+    return [slice(i, min(i + size, count)) for i in range(0, count, size)]

@@ -35,10 +35,9 @@ from prepare.cage.embedding_hosts import fraction_inside
 from prepare.cage.filling import DENSE, density_of, solid_cells
 from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, volume_of
 from prepare.cage.mesh_quality import smallest_angle
-from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
 from prepare.cleaning import clean, clean_components
 from prepare.own_weight import suitable_material
-from prepare.progress import Progress, no_progress
+from prepare.progress import Checkpoints, Progress, arrays_of, gaussians_of, no_progress
 from prepare.standing import flap_of
 
 VERSION = 10  # of the pipeline's results; raise it when the same splat would give another asset

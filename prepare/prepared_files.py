@@ -19,11 +19,10 @@ from core.report import png_of
 from core.runtime import running_arch
 from prepare import own_weight
 from prepare.cage.cage_generation import NoSoundCage
-from prepare.checkpoints import Checkpoints
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.preparation_report import report_names, report_texts
-from prepare.progress import Progress, progress_on
+from prepare.progress import Checkpoints, Progress, progress_on
 from prepare.report_pictures import camera_for, orientation_strip, splat_picture, strip_name
 from prepare.rig.rigging import described, is_skinned, rig_source
 from prepare.standing import stood_up

@@ -16,7 +16,7 @@ from pathlib import Path
 from assets.file_access import make_folder
 from assets.library import SHIPPED_FOLDER, paper_folder
 from core.errors import BadInput
-from core.open3d_package import check_open3d
+from core.program import check_open3d
 from core.runtime import start_taichi
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from scipy.spatial import cKDTree
 
-from core.open3d_package import open3d
-from core.threads import batches, in_threads
+from core.program import batches, in_threads, open3d
 from studio.light_sources import LightSources
 from studio.shapes import Surface
 from studio.surface_sampling import Surfels, Viewer

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from assets.gaussians import SH_COUNTS, Gaussians
+from core.program import batches, in_threads
 from core.spherical_harmonics import C0, sh_basis
-from core.threads import batches, in_threads
 from studio.shapes import Surface
 from studio.surface_sampling import Surfels, Viewer
 

@@ -11,7 +11,7 @@ from assets.file_access import make_folder
 from assets.hdf5 import open_hdf5
 from assets.library import find_asset, search_first
 from core.errors import BadInput
-from core.open3d_package import check_open3d
+from core.program import check_open3d
 from scenes import registry
 from scenes.paper_demos import PaperDemo
 from scenes.scene import Scene

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from core.triangle_mesh import Mesh
+from core.mesh_sampling import Mesh
 
 Colour = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (points, normals) in the surface's own frame -> albedo
 

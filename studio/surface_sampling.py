@@ -7,9 +7,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.optimize import nnls
 
-from core.blue_noise import blue_noise
-from core.edge_sampling import (
+from core.mesh_sampling import (
     CREASE_COSINE,
+    Mesh,
+    blue_noise,
     clip_to_edges,
     distance_to_edges,
     edges_of,
@@ -17,8 +18,7 @@ from core.edge_sampling import (
     points_along,
     rows_along,
 )
-from core.threads import in_threads
-from core.triangle_mesh import Mesh
+from core.program import in_threads
 from studio.detail import SHIPPED, Detail
 from studio.shapes import Surface, welded
 

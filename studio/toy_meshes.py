@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from core.distance_grid import DistanceGrid
-from core.triangle_mesh import Mesh
+from core.mesh_sampling import Mesh
 from studio.creatures.coat import box_of
 from studio.creatures.creature import Creature, look_at_surface, surface_of
 from studio.shapes import Surface

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.camera import Camera
-from core.edge_sampling import face_normals
-from core.open3d_package import open3d
-from core.triangle_mesh import Mesh
+from core.mesh_sampling import Mesh, face_normals
+from core.program import open3d
 from studio.baked_light import tangent_frame
 from studio.finish import tone_map
 from studio.light_sources import Opening

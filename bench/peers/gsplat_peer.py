@@ -14,7 +14,7 @@ from statistics import median
 
 import numpy as np
 
-from bench.synthetic_room import SIZES, eyes, room
+from bench.render_speed import SIZES, eyes, room
 from core.runtime import start_taichi
 
 AGREE = 2 / 255  # mean absolute difference of the pictures

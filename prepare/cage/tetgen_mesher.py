@@ -19,7 +19,7 @@ import numpy as np
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from core.open3d_package import check_open3d, open3d
+from core.program import check_open3d, open3d
 from core.tetmesh import boundary_surface, face_components, positively_oriented, tet_volumes
 from prepare.cage.cage_generation import EXACT_VERTICES, Stuffed, check_count, fault, fitted
 from prepare.cage.embedding_hosts import fraction_inside

@@ -9,8 +9,8 @@ import numpy as np
 from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.errors import BadInput
+from core.program import in_threads
 from core.spherical_harmonics import C0
-from core.threads import in_threads
 from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, target, train_patch
 from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, within_object
 from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, views_of, without_shadow

@@ -14,7 +14,7 @@ from scipy.ndimage import binary_dilation, binary_opening, binary_propagation, d
 from scipy.spatial import cKDTree
 
 from core.planes import fit_plane
-from core.threads import in_threads
+from core.program import in_threads
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
 
 POINTS, POINTS_MIN = 6000, 50  # sampled on the background around the object, from all views

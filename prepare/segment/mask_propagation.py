@@ -9,7 +9,7 @@ import numpy as np
 from assets.gaussians import Gaussians
 from core.camera import Camera
 from core.errors import BadInput
-from core.threads import in_threads
+from core.program import in_threads
 from prepare.progress import Progress, no_progress
 from prepare.segment.marks import Marks, drawn_boxes, drawn_strokes
 from prepare.segment.mask_files import Masks, object_colors

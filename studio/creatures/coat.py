@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from assets.gaussians import Gaussians, concatenate
-from core.blue_noise import blue_noise
+from core.mesh_sampling import blue_noise
 from studio.baked_light import tangent_frame
 from studio.creatures.creature import Creature, Part, Seam, look_at_surface, surface_of
 from studio.creatures.implicit import unit

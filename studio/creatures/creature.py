@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from core.material import Material
-from core.threads import batches, in_threads
+from core.program import batches, in_threads
 from studio.creatures.implicit import Shape, mirrored, smooth_union, unit
 from studio.textures import srgb
 

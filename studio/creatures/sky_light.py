@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from core.distance_grid import DistanceGrid
-from core.threads import batches, in_threads
+from core.program import batches, in_threads
 from studio.creatures.implicit import unit
 
 NODES = 72  # of the distance grid on the longest side

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from assets.asset import Asset, Cage
 from assets.gaussians import Gaussians
 from bench import bar_figures, render_speed
-from bench import synthetic_room as rooms
+from bench import render_speed as rooms
 from bench.sample_meshes import random_gaussians, tet_bar
 from core.tetmesh import boundary_surface
 

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from core.threads import batches, in_threads
+from core.program import batches, in_threads
 
 
 def test_results_come_in_the_items_order():

@@ -160,7 +160,7 @@ def preferences_version(path: Path) -> int:
 
 def write_checkpoint(folder: Path, k: int) -> None:
     """A kept step; an earlier one is removed first, as the pipeline does not write over it."""
-    from prepare.checkpoints import Checkpoints
+    from prepare.progress import Checkpoints
 
     checkpoints = Checkpoints()
     checkpoints.folder = folder
@@ -170,7 +170,7 @@ def write_checkpoint(folder: Path, k: int) -> None:
 
 def checkpoint_version(folder: Path) -> int | None:
     """The last step; all before it are kept too."""
-    from prepare.checkpoints import Checkpoints
+    from prepare.progress import Checkpoints
 
     checkpoints = Checkpoints()
     checkpoints.folder = folder

@@ -162,7 +162,7 @@ def read_training(path: Path) -> None:
 
 def checkpoint_samples(folder: Path) -> list[Files]:
     """A kept step of a preparation."""
-    from prepare.checkpoints import arrays_of
+    from prepare.progress import arrays_of
     from tests.support.samples import some_gaussians
 
     arrays = arrays_of(some_gaussians(20, 1), up="+y", counts={"read": 20})
@@ -176,7 +176,7 @@ def checkpoint_samples(folder: Path) -> list[Files]:
 
 def read_checkpoint(path: Path) -> None:
     """Take up a kept step: its arrays, or it is made again; the pipeline bears these errors of what they hold."""
-    from prepare.checkpoints import Checkpoints, gaussians_of
+    from prepare.progress import Checkpoints, gaussians_of
 
     checkpoints = Checkpoints()
     checkpoints.folder = path.parent

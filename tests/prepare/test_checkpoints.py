@@ -8,10 +8,9 @@ import pytest
 
 from assets.asset import Asset
 from assets.splat_files import write_gaussians
-from prepare.checkpoints import Checkpoints
 from prepare.pipeline import STEPS, VERSION, Options
 from prepare.prepared_files import prepare_file
-from prepare.progress import ProgressBar, ProgressLines, progress_on
+from prepare.progress import Checkpoints, ProgressBar, ProgressLines, progress_on
 from tests.support.shells import ball
 
 

@@ -6,10 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from assets.gaussians import concatenate
 from display.protocol import Frame
-from prepare.checkpoints import Checkpoints
 from prepare.pipeline import Options, fill_components
 from prepare.prepared_files import prepare_file
-from prepare.progress import no_progress
+from prepare.progress import Checkpoints, no_progress
 from prepare.standing import UPRIGHT, flap_of, lean_at_rest
 from scenes import sandbox
 from tests.support.scripted_play import blind_world

@@ -17,11 +17,10 @@ from core.material import MATERIALS
 from core.point_location import TetLocator
 from core.tetmesh import face_components, tet_volumes
 from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
-from prepare.checkpoints import gaussians_of
 from prepare.cleaning import clean
 from prepare.pipeline import STEPS, Options, body_size, clean_and_orient, prepare
 from prepare.prepared_files import prepare_file
-from prepare.progress import no_progress
+from prepare.progress import gaussians_of, no_progress
 from tests.support.shells import ball, ring, shell, toy
 
 SPLATS = {"toy_cat.ply": "-y", "plush_dragon.ply": "+y"}  # and which way is up in them, as pictures show

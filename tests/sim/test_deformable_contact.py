@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.physics_contact import run
 from bench.sample_meshes import box, torus
-from bench.setups import run
 from core.material import Material
 from core.vocabulary import Capsule
 from sim.contact.nearest_tet import tet_neighbors

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial import ConvexHull
 
 from bench import physics_contact
-from bench.setups import SIDE, playground
+from bench.physics_contact import SIDE, playground
 from core.errors import BadInput
 from core.vocabulary import Hand, Plane
 from sim.contact.static_shapes import MAX_SHAPES

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bench.physics_contact import linked_throws
 from bench.sample_meshes import box, torus
-from bench.setups import linked_throws
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Box, Capsule, Hand

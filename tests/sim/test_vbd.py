@@ -7,9 +7,9 @@ import pytest
 import taichi as ti
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.physics import BAR, DOWN, LEFT, RIGHT, TETS, G, bar, fem_solve, fem_stiffness, positions
+from bench.physics import BAR, DOWN, LEFT, RIGHT, TETS, G, bar, fem_solve, fem_stiffness, positions, strain_energy
+from bench.physics_contact import run
 from bench.sample_meshes import box, torus
-from bench.setups import run, strain_energy
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand, Plane

@@ -20,7 +20,7 @@ from time import perf_counter
 
 import numpy as np
 
-from bench.setups import FRAME, G, energies
+from bench.physics_contact import FRAME, G, energies
 from core.vocabulary import Hand, Plane
 from sim.hands.grasp import MAX_HAND_FORCE, THROW_WINDOW
 from sim.model import Capacity

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.physics import BAR, bar
-from bench.setups import FRAME, energies, strain_energy
+from bench.physics import BAR, bar, strain_energy
+from bench.physics_contact import FRAME, energies
 from core.vocabulary import Hand
 from sim.hands.grasp import MAX_HAND_FORCE, THROW_WINDOW
 from sim.model import BodyModel

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -151,19 +151,15 @@ class WorldView(Protocol):
 
 
 class Display(Protocol):
-    """A window, a headset, or files: asks a world for frames and shows them. Used in a `with`, which closes it."""
+    """A window, a headset, or no screen: makes frames for a world and shows it. Used in a `with`, which closes it."""
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of one view's picture [px] that suits the display now."""
-        ...
+    size: tuple[int, int]  # (width, height) of one view's picture [px] that suits the display now
 
     def loading(self, text: str, picture=None) -> None:
         """Show a line of text while the world is made, over a picture as `WorldView.picture` once there is one.
 
         Raises Cancelled if the user does not want to wait.
         """
-        ...
 
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
@@ -178,12 +174,13 @@ class Display(Protocol):
         ...
 
     def close(self) -> None:
-        """Give the screen or files back. Further calls do nothing."""
-        ...
+        """Give the screen back. Further calls do nothing."""
 
-    def __enter__(self) -> Display: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *error) -> None: ...
+    def __exit__(self, *error) -> None:
+        self.close()
 
 
 class Notice:

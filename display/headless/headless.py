@@ -8,7 +8,7 @@ from time import perf_counter
 
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
-from display.protocol import Frame, WorldView
+from display.protocol import Display, Frame, WorldView
 from display.timing import ProgressLine
 from scenes.scene import Scene
 
@@ -16,7 +16,7 @@ FRAME_DT = 1 / 60  # [s]
 EYE_DISTANCE = 0.063  # [m] between the two eyes of a stereo pair, the adult mean
 
 
-class Headless:
+class Headless(Display):
     """A display of `count` frames of 1/60 s from the scene's camera.
 
     views     2: pictures are stereo pairs
@@ -28,18 +28,6 @@ class Headless:
             raise BadInput(f"cannot run {frames} frames: at least one is needed")
         self.size, self.views, self.count, self._scripted = (width, height), views, frames, scripted
         self.show_scene(scene, "", "")
-
-    def __enter__(self) -> Headless:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Do nothing: there is no screen to give back."""
-
-    def loading(self, text: str, picture=None) -> None:
-        """Do nothing: the terminal shows the progress."""
 
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Look at another scene from its own camera."""

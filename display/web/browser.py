@@ -16,7 +16,7 @@ from display.clock import catch_up_limit
 from display.panel import Panel, commands_of
 from display.picture import fit, pixels_of
 from display.preferences import Preferences
-from display.protocol import Frame, WorldView
+from display.protocol import Display, Frame, WorldView
 from display.user_commands import Command
 from display.web.page_messages import WINDOW_ONLY, first_words, overlay, scene_request, world_state
 from display.web.page_server import LOOPBACK, STILL_QUALITY, PageServer
@@ -36,7 +36,7 @@ CODES = {"ShiftLeft": "shift", "ShiftRight": "shift", "NumpadAdd": "plus", "Nump
 TOLD_INTERVAL = 0.1  # [s] between two states of the panel
 
 
-class Browser:
+class Browser(Display):
     """A display: `for frame in browser.frames(world): world.step(frame); browser.present(world)`.
 
     host, port   to listen on; port 0: the default one, or the next free one
@@ -80,12 +80,6 @@ class Browser:
         print(f"Open {self._server.address}", flush=True)
         if host not in (None, LOOPBACK, "localhost", "::1"):
             print("Anyone who has this address can play; the connection is not encrypted.", file=sys.stderr, flush=True)
-
-    def __enter__(self) -> Browser:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
 
     def close(self) -> None:
         """Say goodbye to the pages. Further calls do nothing.

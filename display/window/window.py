@@ -14,7 +14,7 @@ from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.panel import GIZMO_BUTTON, Panel
 from display.picture import fit
 from display.preferences import Preferences
-from display.protocol import Frame, WorldView
+from display.protocol import Display, Frame, WorldView
 from display.user_commands import Command, ViewFiles
 from display.window.controls import HOVER_OPACITY, ROOM_GIZMO, Controls, Hover
 from display.window.dialogs import LengthDialog, OpenDialog, SceneMenu, UpChoice
@@ -31,7 +31,7 @@ DEFAULT_SIZE = (960, 540)  # in screen coordinates
 MIN_SIDE = 16  # [px] of a picture
 
 
-class Window:
+class Window(Display):
     """A display: `for frame in window.frames(world): world.step(frame); window.present(world)`.
 
     `width` and `height` are in screen coordinates, by default those of `preferences`, which keep size, place, panel
@@ -74,12 +74,6 @@ class Window:
         self._commands: list[Command] = []  # from the panel, for the next frame
         self._resized: tuple[tuple[int, int], float] = (self._surface.frame_size, 0.0)  # the window's size, since when
         self.loading(f"Loading {title}")
-
-    def __enter__(self) -> Window:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the window. Further calls do nothing."""

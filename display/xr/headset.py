@@ -17,7 +17,7 @@ from display.adaptive_resolution import DynamicResolution
 from display.clock import Clock
 from display.edit.selection_marker import marked
 from display.panel import Panel
-from display.protocol import Frame, WorldView
+from display.protocol import Display, Frame, WorldView
 from display.user_commands import Command
 from display.window.gl_context import EglContext, PictureTexture
 from display.window.gl_window import GLWindow, has_display
@@ -110,7 +110,7 @@ def open_mirror(scene: Scene, title: str, size: tuple[int, int], views: int) -> 
     return Mirror(scene, title, *size, views) if has_display() else NoMirror(views)
 
 
-class Headset:
+class Headset(Display):
     """A display: `for frame in headset.frames(world): world.step(frame); headset.present(world)`.
 
     `size` is that of one eye's picture [px]: the runtime's recommendation times `scale`; where the rate does not hold,
@@ -151,12 +151,6 @@ class Headset:
         self._frame_begin = 0.0  # [s] of perf_counter()
         self._tick = None
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)
-
-    def __enter__(self) -> Headset:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
 
     def close(self) -> None:
         """Leave the headset and close the mirror. Further calls do nothing."""

@@ -14,10 +14,10 @@ from display.window.widgets import (
     QUIET,
     TITLE_SIZE,
     WIDTH,
-    Sliders,
     apply_theme,
     button_grid,
     choice,
+    draw_slider,
     pixels,
     shortened,
     table_row,
@@ -38,7 +38,7 @@ class PanelDrawer:
         self.title, self.panel, self.opened = title, panel, dict(opened or {})
         self.help, self.pressed = False, ""
         self._visible, self._hovered = False, ""  # title of the section under the cursor
-        self._sliders: dict[str, Sliders] = {}
+        self._changed: set[str] = set()  # names of sliders (draw_slider)
         apply_theme(scale)
 
     @property
@@ -132,7 +132,7 @@ class PanelDrawer:
 
         match row:
             case Slider():
-                return self._sliders.setdefault(title, Sliders()).draw([row])
+                return draw_slider(row, self._changed)
             case ButtonGrid():
                 by_text = {button.text: button for button in row.buttons}
                 pressed = button_grid({text: button.tip for text, button in by_text.items()}, row.columns)

@@ -6,7 +6,7 @@ Widgets are as wide as the space that is left.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from display.panel import Slider, readable
@@ -140,54 +140,44 @@ def table_row(name: str, *values: str, colour: tuple[float, ...] | None = None) 
         text_right(value, colour)
 
 
-class Sliders:
-    """Sliders under their names and values: nothing covers a number. Ctrl+click types one, a right click resets it.
+def draw_slider(slider: Slider, changed_before: set[str]) -> list[Command]:
+    """Draw a slider under its name and value: nothing covers a number. Ctrl+click types one, a right click resets it.
 
-    They track whether a change continues the last one, so that a drag can be undone as one.
+    `changed_before` holds the names of sliders that were changed since the mouse went down on them: a drag is undone as
+    one. Returns the command of a new value.
     """
+    from imgui_bundle import imgui
 
-    def __init__(self):
-        self._changed: set[str] = set()  # since the mouse went down on them
-
-    def draw(self, sliders: Sequence[Slider]) -> list[Command]:
-        """Draw sliders; the commands of those that are moved."""
-        moved = [(slider, self._draw(slider)) for slider in sliders]
-        return [slider.command(*change) for slider, change in moved if change is not None]
-
-    def _draw(self, slider: Slider) -> tuple[float, bool] | None:
-        """Draw a slider. Returns the new value and whether this change continues the last one, or None."""
-        from imgui_bundle import imgui
-
-        flags, name, value, usual = imgui.SliderFlags_, slider.name, slider.value, slider.usual
-        imgui.text_colored(QUIET, name)
-        imgui.same_line()
-        text_right(slider.shown)
-        imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() - imgui.get_style().item_spacing.y)
-        imgui.push_style_var_y(imgui.StyleVar_.frame_padding, 0.0)
-        clear = (imgui.Col_.frame_bg, imgui.Col_.frame_bg_hovered, imgui.Col_.frame_bg_active)
-        for colour in (*clear, imgui.Col_.slider_grab, imgui.Col_.slider_grab_active):
-            imgui.push_style_color(colour, (0.0, 0.0, 0.0, 0.0))
-        imgui.set_next_item_width(-1)
-        kind = flags.always_clamp | flags.no_round_to_format | (flags.logarithmic if slider.log else 0)
-        changed, new = imgui.slider_float(f"##{name}", value, slider.low, slider.high, "", kind)
-        imgui.pop_style_color(5)
-        imgui.pop_style_var()
-        if not (imgui.is_item_active() and imgui.get_io().want_text_input):
-            draw_track(fraction_of(value, slider.low, slider.high, slider.log))
-        if imgui.is_item_activated():
-            self._changed.discard(name)
-        if imgui.is_item_hovered() and imgui.is_mouse_clicked(imgui.MouseButton_.right) and usual not in (None, value):
-            self._changed.discard(name)
-            return usual, False
-        tip = " ".join(filter(None, (slider.tip, "" if usual is None else RESET_TIP)))
-        if tip:
-            imgui.set_item_tooltip(tip)
-        new = readable(new)
-        if not changed or new == value:
-            return None
-        continued = name in self._changed
-        self._changed.add(name)
-        return new, continued
+    flags, name, value, usual = imgui.SliderFlags_, slider.name, slider.value, slider.usual
+    imgui.text_colored(QUIET, name)
+    imgui.same_line()
+    text_right(slider.shown)
+    imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() - imgui.get_style().item_spacing.y)
+    imgui.push_style_var_y(imgui.StyleVar_.frame_padding, 0.0)
+    clear = (imgui.Col_.frame_bg, imgui.Col_.frame_bg_hovered, imgui.Col_.frame_bg_active)
+    for colour in (*clear, imgui.Col_.slider_grab, imgui.Col_.slider_grab_active):
+        imgui.push_style_color(colour, (0.0, 0.0, 0.0, 0.0))
+    imgui.set_next_item_width(-1)
+    kind = flags.always_clamp | flags.no_round_to_format | (flags.logarithmic if slider.log else 0)
+    changed, new = imgui.slider_float(f"##{name}", value, slider.low, slider.high, "", kind)
+    imgui.pop_style_color(5)
+    imgui.pop_style_var()
+    if not (imgui.is_item_active() and imgui.get_io().want_text_input):
+        draw_track(fraction_of(value, slider.low, slider.high, slider.log))
+    if imgui.is_item_activated():
+        changed_before.discard(name)
+    if imgui.is_item_hovered() and imgui.is_mouse_clicked(imgui.MouseButton_.right) and usual not in (None, value):
+        changed_before.discard(name)
+        return [slider.command(usual, False)]
+    tip = " ".join(filter(None, (slider.tip, "" if usual is None else RESET_TIP)))
+    if tip:
+        imgui.set_item_tooltip(tip)
+    new = readable(new)
+    if not changed or new == value:
+        return []
+    continued = name in changed_before
+    changed_before.add(name)
+    return [slider.command(new, continued)]
 
 
 def fraction_of(value: float, low: float, high: float, log: bool) -> float:

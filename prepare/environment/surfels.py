@@ -189,6 +189,28 @@ def occupied_at(grid: ti.template(), origin, spacing, p):
     return found
 
 
+@ti.func
+def is_clear(x, direction, length, near: ti.template(), near_origin, h, far: ti.template(), far_origin, far_h):
+    """1 if no voxel is occupied on the line of sight from x; `near` is the finer grid, beyond which `far` is asked.
+
+    The surface's own voxels around x do not count until the line has left them, or SELF_OCCLUSION.
+    """
+    lead = ti.max(SELF_OCCLUSION - RAY_OFFSET * h, 0.0)
+    travelled, left, clear = 0.0, False, 1
+    while travelled < length - 2.0 * RAY_OFFSET * h and clear == 1:
+        step, found = h, -1
+        if travelled < FINE_LENGTH * h:
+            found = occupied_at(near, near_origin, h, x)
+        if found < 0:
+            step, found = far_h, occupied_at(far, far_origin, far_h, x)
+        if found == 1 and (left or travelled > lead):
+            clear = 0
+        left = left or found <= 0
+        x += RAY_STEP * step * direction
+        travelled += RAY_STEP * step
+    return clear
+
+
 @ti.kernel
 def count_votes(
     points: ti.types.ndarray(ti.f32, 2),
@@ -203,7 +225,6 @@ def count_votes(
     votes: ti.types.ndarray(ti.f32, 1),
 ):
     """Out: votes = sum over the viewers that see point p of the cosine between its normal and their direction."""
-    lead = ti.max(SELF_OCCLUSION - RAY_OFFSET * h, 0.0)
     for s in range(points.shape[0]):
         p = ti.Vector([points[s, 0], points[s, 1], points[s, 2]])
         n = ti.Vector([normals[s, 0], normals[s, 1], normals[s, 2]])
@@ -214,21 +235,8 @@ def count_votes(
             direction /= ti.max(length, 1e-6)
             cosine = n.dot(direction)
             if ti.abs(cosine) > MIN_COSINE and length > 3.0 * RAY_OFFSET * h:
-                x = p + (RAY_OFFSET * h) * ti.math.sign(cosine) * n
-                travelled, left, clear = 0.0, False, True
-                while travelled < length - 2.0 * RAY_OFFSET * h and clear:
-                    step, found = h, -1
-                    if travelled < FINE_LENGTH * h:
-                        found = occupied_at(near, near_origin, h, x)
-                    if found < 0:
-                        step, found = far_h, occupied_at(far, far_origin, far_h, x)
-                    if found == 1 and (left or travelled > lead):
-                        clear = False
-                    left = left or found <= 0
-                    x += RAY_STEP * step * direction
-                    travelled += RAY_STEP * step
-                if clear:
-                    total += cosine
+                start = p + (RAY_OFFSET * h) * ti.math.sign(cosine) * n  # on the viewer's side of the surface
+                total += cosine * is_clear(start, direction, length, near, near_origin, h, far, far_origin, far_h)
         votes[s] = total
 
 

@@ -11,7 +11,7 @@ from assets.environment import Environment
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
-from core.tetmesh import tet_volumes
+from core.tetmesh import box_mesh
 from tests.support.samples import FIELDS, some_gaussians
 
 CORNERS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
@@ -19,19 +19,8 @@ CORNERS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
 
 def bar(cells: int = 6) -> Cage:
     """Cubes of 0.1 m along x, of six tets each."""
-    x = np.arange(cells + 1)
-    vertices = np.array([(0.1 * i, 0.1 * j, 0.1 * k) for i in x for j in (0, 1) for k in (0, 1)], np.float32)
-    tets = []
-    for i in range(cells):
-        v = [4 * i + k for k in range(8)]  # bit 2: x, bit 1: y, bit 0: z
-        for a, b in ((1, 3), (3, 2), (2, 6), (6, 4), (4, 5), (5, 1)):
-            tets.append((v[0], v[a], v[b], v[7]))
-    tets = np.array(tets, np.int32)
-    flip = tet_volumes(vertices, tets) < 0
-    tets[flip] = tets[flip][:, [0, 2, 1, 3]]
-    faces = np.concatenate([tets[:, [0, 2, 1]], tets[:, [0, 1, 3]], tets[:, [0, 3, 2]], tets[:, [1, 2, 3]]])
-    _, index, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
-    return Cage(vertices, tets, faces[index[count == 1]].astype(np.int32))
+    vertices, tets, surface = box_mesh((0.1 * cells, 0.1, 0.1), (cells, 1, 1))
+    return Cage(vertices.astype(np.float32), tets.astype(np.int32), surface.astype(np.int32))
 
 
 def weights_in(cage: Cage, host, points) -> np.ndarray:

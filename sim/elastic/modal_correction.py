@@ -90,7 +90,7 @@ class ModalCorrection:
         self._upload([U.reshape(-1, 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:
-        """Kernels of one correction, for a device without persistent kernels."""
+        """Kernels of one correction with a single lane, for a device without persistent kernels."""
         s, blocks = self.state, self.blocks
 
         @ti.kernel

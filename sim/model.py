@@ -222,8 +222,8 @@ class RestShape:
         if abs(factor - 1.0) < 1e-12:
             return root
         sdf = None if root.sdf is None else root.sdf.scaled(factor)
-        kind = {"rigid": root.rigid, "boxed": root.boxed}
-        return RestShape(root.vertices * factor, root.solid, root.surface, sdf, **kind, root=root, factor=factor)
+        x = root.vertices * factor
+        return RestShape(x, root.solid, root.surface, sdf, rigid=root.rigid, boxed=root.boxed, root=root, factor=factor)
 
     @property
     def bytes(self) -> int:

@@ -89,8 +89,17 @@ class Solver:
         rigid = self.rigid_bodies = RigidBodies(s, RigidGrasp(s, grasps), passes=passes) if self._with_rigid else None
         self.contacts: Contacts | None = None
         if contacts:
-            options = {"self_contact": self_contact, "capacity": capacity, "fingers": fingers, "rigid_bodies": rigid}
-            self.contacts = Contacts(s, first, list(colliders), blocks, grasps, **options)
+            self.contacts = Contacts(
+                s,
+                first,
+                list(colliders),
+                blocks,
+                grasps,
+                self_contact=self_contact,
+                capacity=capacity,
+                rigid_bodies=rigid,
+                fingers=fingers,
+            )
         self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
         self._sleeping = Sleeping(s, self._reductions, self.contacts if sleep else None, self.rigid_bodies)
         self.elasticity, self.damping = Elasticity(s), Damping(s, blocks, self.contacts and self.contacts.forces)

@@ -65,12 +65,8 @@ class Patches:
         self.kappa = g.scalar(state.T)  # 1/s^2
         self.published = g.vector(2, V, 3, n=4)
         g.build()
-        self._upload = Upload(
-            [
-                *(self.local, self.slot_begin, self.slot_end, self.local_begin, self.own_end, self.tet_begin),
-                *(self.count, *self.corners, *self.slots, *self.gradient, self.tet, self.kappa),
-            ]
-        )
+        patches = [self.local, self.slot_begin, self.slot_end, self.local_begin, self.own_end, self.tet_begin]
+        self._upload = Upload([*patches, self.count, *self.corners, *self.slots, *self.gradient, self.tet, self.kappa])
 
     def load(self, model: Model) -> None:
         """Take the rest shapes of these bodies."""
@@ -334,21 +330,8 @@ class ColorPatches:
         self.words, self.tet = [g.scalar(N, dtype=ti.i32) for _ in range(2)], g.scalar(N, dtype=ti.i32)
         self.gradient = [g.scalar(N) for _ in range(9)]
         g.build()
-        self._upload = Upload(
-            [
-                *(
-                    self.local,
-                    self.slot_begin,
-                    self.local_begin,
-                    self.own_end,
-                    self.own_begin,
-                    self.others_begin,
-                    self.count,
-                ),
-                *self.words,
-                self.tet,
-            ]
-        )
+        patches = [self.local, self.slot_begin, self.local_begin, self.own_end, self.own_begin, self.others_begin]
+        self._upload = Upload([*patches, self.count, *self.words, self.tet])
         self.colors = 0
         self._tables: dict | None = None  # those on the device
 

@@ -15,7 +15,7 @@ from core.tetmesh import tet_volumes
 from core.vocabulary import Hand, Plane
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.vbd import color_ranges, color_vertices
-from sim.model import BodyModel, Capacity, Model, SoftBody
+from sim.model import Capacity, Model, SoftBody, models_of
 from sim.solver import Solver
 from sim.time_step import lame
 
@@ -281,11 +281,8 @@ def floor(ti_cpu):
 
 def holding(solver: Solver, bodies: list[SoftBody], gravity=(0.0, -G, 0.0)) -> Solver:
     """The solver with these bodies, at their starts."""
-    models = []
-    for body in bodies:
-        models.append(BodyModel.of(body, models))
     solver.gravity = gravity
-    solver.reset(models)
+    solver.reset(models_of(bodies))
     return solver
 
 

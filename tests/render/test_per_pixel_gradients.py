@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from assets.gaussians import Gaussians, concatenate
 from core.camera import look_at, perspective
 from core.spherical_harmonics import C0
-from tests.render.test_gradients import NAMES, SIZE, Differentiable, assert_near
+from tests.render.test_gradients import NAMES, SIZE, Differentiable, assert_near, differences
 from tests.render.test_per_pixel_sort import BUFFER_SIZE, EYE, crowd, slab, sorted_by_pixel
 from tests.support import reference_render as reference
 
@@ -49,16 +49,8 @@ def test_gradients_equal_finite_differences_of_a_twin_that_sorts_each_pixel(pixe
     def loss(g: Gaussians) -> float:
         return sum(float((w * image).sum()) for w, image in zip(weights, sorted_by_pixel(g, camera)[:3], strict=True))
 
-    step = 1e-5
     for name, gradient, other in zip(NAMES[:4], gradients[:4], by_distance[:4], strict=True):
-        values, found = getattr(g, name), np.zeros_like(gradient)
-        for at in np.ndindex(values.shape):
-            moved = []
-            for sign in (1, -1):
-                new = values.copy()
-                new[at] += sign * step
-                moved.append(loss(replace(g, **{name: new})))
-            found[at] = (moved[0] - moved[1]) / (2 * step)
+        found = differences(lambda v, name=name: loss(replace(g, **{name: v})), getattr(g, name))
         assert_near(gradient, found, 2e-3, name)
         assert np.abs(other - found).max() > 0.05 * np.abs(found).max(), name
 

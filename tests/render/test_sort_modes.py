@@ -66,10 +66,6 @@ def test_an_unknown_order_is_refused(ti_cpu):
         Drawing(10, 1, 8, degree=0, sort="sideways")
 
 
-def test_a_camera_that_looks_elsewhere_is_still_the_same_eye():
-    np.testing.assert_allclose(turned(30.0).position, CAMERA.position, atol=1e-12)
-
-
 @pytest.mark.long
 def test_the_measure_of_popping_sees_what_sorting_by_distance_avoids(ti_cpu):
     """Large translucent Gaussians of many colours, for which the order matters."""

@@ -108,25 +108,9 @@ def test_two_fingers_pinch_and_lift_by_friction(solver, x):
     assert least_volume(solver) > 0.5
 
 
-def test_a_finger_goes_right_through_and_harms_nothing(solver):
-    """Down through the bodies into the table and out at their sides: a bounded push, no tet inside out, all finite."""
-    worst = 1.0
-    for k in range(110):
-        y, aside = max(0.1 - 0.003 * k, -0.1), 0.0 if k < 70 else 0.003 * (k - 70)
-        touch = [Touch((x + aside, y, 0), (x + aside, y + 0.1, 0), R) for x in (0.0, BRICK)]
-        play(solver, 1, lambda _, t=touch: t)
-        worst = min(worst, least_volume(solver))
-        assert np.linalg.norm(solver.touch_forces()[0]) < 150.0
-        assert max(np.linalg.norm(b.velocity) for b in solver.bodies()) < 3.0
-    assert worst > 0.0
-    play(solver, 60)
-    assert solver.stats["finite"] and least_volume(solver) > 0.8
-    assert all(b.low[1] > -1e-3 for b in solver.bodies())
-
-
 @pytest.mark.parametrize("young", [1e4, 5e4])
 def test_six_fingers_go_through_with_no_more_than_the_force_of_a_hand(solver, young):
-    """And crush no cell, however soft; the brick is pressed against the table meanwhile."""
+    """Down into the table and out at the sides; they crush no cell, however soft, and leave all as it was."""
     worst, hardest = 1.0, 0.0
     solver.set_material(0, replace(SOFT, young=young))
     try:
@@ -135,6 +119,10 @@ def test_six_fingers_go_through_with_no_more_than_the_force_of_a_hand(solver, yo
             touch = [upright(x + aside + d, y) for x in (0.0, BRICK) for d in (-0.02, 0.0, 0.02)]
             play(solver, 1, lambda _, t=touch: t)
             worst, hardest = min(worst, least_volume(solver)), max(hardest, np.linalg.norm(solver.touch_forces()[0]))
+            assert max(np.linalg.norm(b.velocity) for b in solver.bodies()) < 3.0
+        play(solver, 60)
+        assert solver.stats["finite"] and least_volume(solver) > 0.8
+        assert all(b.low[1] > -1e-3 for b in solver.bodies())
     finally:
         solver.set_material(0, SOFT)
     assert worst > 0.4 and 30.0 < hardest < 1.25 * MAX_HAND_FORCE

@@ -204,48 +204,49 @@ def load_scene(options: PlayOptions, replay: Replay | None) -> Scene:
 
 
 def open_replay(options: PlayOptions) -> Replay | None:
-    """The recording to be replayed, whose options replace those of the command."""
+    """The recording to be replayed, whose options replace those of the command. Raises BadInput."""
     if not options.replay:
         return None
     if options.xr:
         raise BadInput("--replay is seen in a window or with --headless: leave out --xr")
     from display.record.replay import Replay
 
-    replay, named = Replay.load(options.replay), options.scene
-    asked = {flag: getattr(options, flag[2:], None) for flag in options.given}
-    replay.set_options(options)
-    options.options = options.options or {}  # none in old recordings
-    check_named(options, named, options.replay)
-    for flag, value in asked.items():
-        if value != getattr(options, flag[2:], None):
-            raise BadInput(f"{flag} {value}: the recording was made with {getattr(options, flag[2:])}, which stays")
+    replay = Replay.load(options.replay)
+    take_options(options, replay.about, options.replay, "recording was made")
     return replay
 
 
 def open_state(options: PlayOptions) -> SceneState | None:
-    """The state to go on from, whose options replace those of the command. Raises BadInput where both are given."""
+    """The state to go on from, whose options replace those of the command. Raises BadInput."""
     if not options.state:
         return None
     from display.keep.state_file import read_state
-    from display.record.recording_file import OPTIONS
 
-    state, named = read_state(options.state), options.scene
-    for key in OPTIONS:
-        if key not in state.about or key == "state":
-            continue
-        value = state.about[key]
-        if f"--{key}" in options.given and getattr(options, key) != value:
-            raise BadInput(f"--{key} {getattr(options, key)}: the state was saved with {value}, which stays")
-        setattr(options, key, value)
-    options.options = options.options or {}
-    check_named(options, named, options.state)
-    options.arch = options.arch or state.about.get("arch")
+    path = options.state
+    state = read_state(path)
+    take_options(options, state.about, path, "state was saved")
+    options.state = path  # not that from which its own play went on
     return state
 
 
-def check_named(options: PlayOptions, named: str, file: Path) -> None:
-    """Raise BadInput if a file asks for a scene file that the command line has not `named`: it would be run."""
-    if is_scene_file(options.scene) and options.scene != named:
+def take_options(options: PlayOptions, about: dict[str, Any], file: Path, made: str) -> None:
+    """Take the options over with which a file was `made`. Raises BadInput if the command line names others, or for a
+    scene file that it does not name: it would be run."""
+    from display.record.recording_file import OPTIONS
+
+    scene = options.scene
+    for key in OPTIONS:
+        if key not in about:
+            continue
+        value = about[key]
+        if key == "body" and isinstance(value, str):  # until version 2 of recordings
+            value = [value]
+        if f"--{key}" in options.given and key != "state" and getattr(options, key) != value:
+            raise BadInput(f"--{key} {getattr(options, key)}: the {made} with {value}, which stays")
+        setattr(options, key, value)
+    options.options = options.options or {}  # none in old recordings
+    options.arch = options.arch or about.get("arch")
+    if is_scene_file(options.scene) and options.scene != scene:
         raise BadInput(f"{file}: was played in a scene file; name it too: --scene {options.scene}")
 
 

@@ -15,7 +15,6 @@ from core.typed import field_types
 from display.protocol import Frame
 from display.record.recording_file import (
     FORMAT,
-    OPTIONS,
     VERSION,
     WorldOptions,
     checked_about,
@@ -51,15 +50,6 @@ class Replay:
             about = checked_about(file.text("", "about"), str(path))
             frames = read_frames(file)
             return cls(path, int(version), about, frames, read_states(file, len(frames)))
-
-    def set_options(self, args) -> None:
-        """Set those options of the command that determine the world to the recorded ones."""
-        for key in OPTIONS:
-            if key in self.about:
-                setattr(args, key, self.about[key])
-        if isinstance(args.body, str):  # until version 2
-            args.body = [args.body]
-        args.arch = args.arch or self.about.get("arch")
 
     def world_options(self, options: dict) -> dict:
         """Options of a World: the recorded ones, and `how` for the rest. Depth is for headsets."""

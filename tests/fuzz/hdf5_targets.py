@@ -91,11 +91,11 @@ def journal_samples(folder: Path) -> list[Files]:
 
 def read_recording(path: Path) -> None:
     """Load a recording, and take over its options."""
-    from commands.play import PlayOptions
+    from commands.play import PlayOptions, take_options
     from display.record.replay import Replay
 
     replay = Replay.load(path)
-    replay.set_options(PlayOptions())
+    take_options(PlayOptions(scene=str(replay.about.get("scene"))), replay.about, path, "recording was made")
     replay.world_options({})
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import scenes
 from commands.parser import parse
-from commands.play import PlayOptions, load_scene
+from commands.play import PlayOptions, load_scene, take_options
 from core.errors import BadInput
 from display.record.recording import Recording
 from display.record.replay import Replay
@@ -110,7 +110,7 @@ def test_a_recording_keeps_the_options_and_all_bodies(zoo, tmp_path, ti_cpu):
             world.step(recording.note(frame))
             recording.after(world)
     again = PlayOptions()
-    Replay.load(tmp_path / "play.h5").set_options(again)
+    take_options(again, Replay.load(tmp_path / "play.h5").about, tmp_path / "play.h5", "recording was made")
     assert (again.options, again.body, again.vertices) == ({"animal": "bear"}, ["a.h5", "b.h5"], [300, 400])
 
 

@@ -201,7 +201,7 @@ def change_attribute(rng: np.random.Generator, file: h5py.File) -> None:
 
 def change_json_lines(rng: np.random.Generator, file: h5py.File) -> None:
     """JSON lines in a dataset of bytes, one with other values in it."""
-    texts = [name for name in names(file, h5py.Dataset) if name.endswith("/text")]
+    texts = [n for n in names(file, h5py.Dataset) if n.endswith("/text") and file[n].dtype.kind in "iuf"]
     if not texts:
         return change_attribute(rng, file)
     name = any_of(rng, texts)

@@ -118,7 +118,7 @@ class Session:
             from display.keep.scene_state import state_of
             from display.keep.state_file import write_state
 
-            write_state(options.save_state, state_of(world, self.keeper.about))
+            write_state(options.save_state, state_of(world, self._about()))
         if options.stats:
             web = {} if options.web is None else {"web": self.display.stats()}
             write_json(options.stats, run_stats(world, self._count) | web)
@@ -291,14 +291,19 @@ class Session:
             self.display.show_scene(scene, f"VR-GS: {name}", name)
         self.world = self._make(scene, reserve)
 
+    def _about(self) -> dict:
+        """The options that make the world, for a state."""
+        from display.record.recording import about_play
+
+        return about_play(self.options, self._world_options)
+
     def _make(self, scene: Scene, reserve: Sequence[str] = ()) -> World:
         """The world of a scene, ready to play, with a report of the progress."""
         from display.keep.keeper import Remembered
-        from display.record.recording import about_play
         from display.world import World, softened_note
 
         name = label(self.options.scene)
-        self.keeper.scene, self.keeper.about = name, about_play(self.options, self._world_options)
+        self.keeper.scene, self.keeper.about = name, self._about
         self._memory = Remembered(self._preferences, name, light=self._light_is_kept())
 
         width, height = self.display.size

@@ -37,12 +37,12 @@ from display.user_commands import (
 class Keeper:
     """Carries out the commands of a frame that write files, `after` the frame; a thread writes one after the other.
 
-    `scene` names the files; `about` says in a state how the scene is made. A notice and a line on stderr tell what was
-    written, or why not; the play goes on. `close` waits for what is under way.
+    `scene` names the files; `about()` gives the options of the scene for a state. A notice and a line on stderr tell
+    what was written, or why not; the play goes on. `close` waits for what is under way.
     """
 
     def __init__(self, scene: str, preferences: Preferences | None = None):
-        self.scene, self.about = scene, {"scene": scene}
+        self.scene, self.about = scene, lambda: {"scene": self.scene}
         self._preferences = preferences or Preferences()
         self._film: FilmWriter | None = None
         self._film_begin = 0.0  # [s]
@@ -87,7 +87,7 @@ class Keeper:
                 from display.keep.state_file import write_state
 
                 path = Path(name or self._new_path(".state.h5")).absolute()
-                state = state_of(world, self.about, view)
+                state = state_of(world, self.about(), view)
                 self._write(path, lambda: write_state(path, state))
                 self._preferences.set(f"state.{self.scene}", str(path))
             case Export(kind, body, shadows):

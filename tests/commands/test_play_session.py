@@ -104,7 +104,6 @@ def session(monkeypatch):
             raise BadInput("broken: cannot be read")
         return NamedScene(options.scene if options.stage is None else f"{options.scene} in {options.stage}")
 
-    monkeypatch.setattr("display.record.recording.about_play", lambda args, options: {})
     monkeypatch.setattr("display.world.World", EmptyWorld)
     monkeypatch.setattr(play_session.Session, "_light_is_kept", lambda self: False)
     monkeypatch.setattr(play_session, "end_taichi", lambda: None)

@@ -17,6 +17,7 @@ from assets.asset import Asset
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
 from core.material import Material
+from core.rotation import best_fit_rotation
 from core.spherical_harmonics import C0
 from core.vocabulary import Body, Light, Plane
 from display.picture import pixels_of
@@ -112,9 +113,8 @@ def _drop(world, cage: np.ndarray, young: float) -> Drop:
 
 def undeformed_height(rest: np.ndarray, x: np.ndarray) -> float:
     """Height [m] of the undeformed body in the best-fit rotation of the deformed one."""
-    U, _, Vt = np.linalg.svd((x - x.mean(0)).T @ (rest - rest.mean(0)))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return float(np.ptp((rest @ R.T)[:, 1]))
+    rotation = best_fit_rotation((x - x.mean(0)).T @ (rest - rest.mean(0)))
+    return float(np.ptp((rest @ rotation.T)[:, 1]))
 
 
 def _picture(world, cage: np.ndarray, snapshot: dict) -> np.ndarray:

@@ -151,7 +151,7 @@ def in_room(scene: Scene, stage: str) -> Scene:
 
 def placed_room(
     scene: Scene,
-    grid: DistanceGrid | None,
+    grid: DistanceGrid,
     cameras: Sequence[Camera],
     at: np.ndarray,
     angle: float,
@@ -170,14 +170,13 @@ def placed_room(
     return PlacedRoom(rotation, position, eye, bodies, (part - UNSEEN_WEIGHT * unseen, -moved))
 
 
-def load_room(stage: str) -> tuple[Environment, DistanceGrid | None]:
+def load_room(stage: str) -> tuple[Environment, DistanceGrid]:
     """Environment and distance grid of a room. Raises BadInput if the file holds none."""
     path = find_asset(stage)
     environment = Environment.load(path)
     with open_hdf5(path) as file:
-        grid = read_grid(file, "sdf/values") if file.has("sdf") else None
-    if grid is not None:
-        grid.check(stage)
+        grid = read_grid(file, "sdf/values")
+    grid.check(stage)
     return environment, grid
 
 
@@ -191,11 +190,11 @@ def photographs_of(stage: str) -> tuple[Camera, ...]:
 
 
 def spot_in(
-    scene: Scene, environment: Environment, grid: DistanceGrid | None, cameras: Sequence[Camera] = ()
+    scene: Scene, environment: Environment, grid: DistanceGrid, cameras: Sequence[Camera] = ()
 ) -> tuple[np.ndarray, float]:
     """The point (3,) of a room around which to play, and the radius [m] of free space there."""
     own, drop = scene.room, np.array(environment.drop_point)
-    if not own.on_floor or grid is None or not environment.planes:
+    if not own.on_floor or not environment.planes:
         return drop, environment.clear_radius
     from scipy.ndimage import distance_transform_edt  # here, since every play imports this module
 
@@ -249,15 +248,11 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.arctan2(b[0], b[2]) - np.arctan2(a[0], a[2])
 
 
-def free_eye(
-    scene: Scene, grid: DistanceGrid | None, rotation: Quat, position: Vec3, floor: float
-) -> tuple[Vec3, float]:
+def free_eye(scene: Scene, grid: DistanceGrid, rotation: Quat, position: Vec3, floor: float) -> tuple[Vec3, float]:
     """The scene's eye, moved towards its target as far as the room requires.
 
     Out.  the eye, where a user can stand on the floor; the free part of the way from the target to the scene's eye
     """
-    if grid is None:
-        return scene.eye, 1.0
     parts = np.linspace(NEAREST_EYE, 1.0, 25)
     eyes = (1 - parts[:, None]) * scene.target + parts[:, None] * scene.eye
     column = np.repeat(eyes[:, None], USER_POINTS, axis=1)
@@ -273,9 +268,7 @@ def free_eye(
     return tuple(map(float, eyes[last])), float(parts[last]) * (1.0 if stands[last] and seen[last] else 0.5)
 
 
-def clear_of_room(
-    bodies: list[Body], grid: DistanceGrid | None, rotation: Quat, position: Vec3, spot: Vec3
-) -> list[Body]:
+def clear_of_room(bodies: list[Body], grid: DistanceGrid, rotation: Quat, position: Vec3, spot: Vec3) -> list[Body]:
     """The bodies, with those that would intersect the room moved towards the spot, or above it.
 
     What stood on the furniture of the scene's own room falls.
@@ -291,7 +284,7 @@ def clear_of_room(
     def meets_others(i: int, box: np.ndarray) -> bool:
         return any((box[0] < other[1]).all() and (other[0] < box[1]).all() for k, other in boxes.items() if k != i)
 
-    for i in moving if grid is not None else ():
+    for i in moving:
         if not is_solid(boxes[i]):
             continue
         away = np.subtract(spot, boxes[i].mean(0)) * [1.0, 0.0, 1.0]

@@ -207,7 +207,8 @@ class Browser(Display):
         now = perf_counter()
         if now - self._told >= TOLD_INTERVAL:
             self._told = now
-            self._panel.read(world)
+            if self._busy or self._server.details:  # at rest nothing is sent that nobody looks at
+                self._panel.read(world)
             own = {"grabbing": self._controls.drag == "grab", "fps": round(self._panel.fps) if self._busy else None}
             self._server.tell(world_state(world, self._panel) | own)
 

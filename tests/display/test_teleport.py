@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from display.xr.actions import Controller
 from display.xr.hand_joints import RELAXED, posed, rotation_about
 from display.xr.hand_tracking import HandGestures
-from display.xr.player import Player, floor_hit
+from display.xr.player import Player
 from display.xr.poses import pose_matrix
 from scenes import ring_toss
 from tests.support.fake_view import FakeView
@@ -85,8 +85,3 @@ def test_the_right_hand_and_controllers_do_not_teleport_by_pinching():
     assert Play().frame(Controller(), right) == ([False, True], None)
     held = Controller(grip=np.eye(4), aim=pointing(-0.5), pinch=1.0)
     assert Play().frame(held) == ([True, False], None)
-
-
-def test_the_place_is_where_the_hand_points():
-    aim = pose_matrix((0.0, 1.0, 0.0), rotation_about((1, 0, 0), -np.pi / 4))
-    assert_allclose(floor_hit(aim), [0.0, 0.0, -1.0], atol=1e-12)

@@ -107,14 +107,6 @@ def test_a_body_is_grabbed_dragged_and_thrown(session):
     session.until(lambda f: not f["grip"] and not f["held"])
 
 
-def test_a_body_flies_on_when_let_go_in_motion(session):
-    session.screen.drag(BALL, (BALL[0] + 200, BALL[1]), seconds=0.6, steps=30)
-    thrown = session.until(lambda f: not f["grip"] and f["ball"][0] > 0.1)
-    assert 0.3 < thrown["speed"] < 8.0
-    later = session.after(5)
-    assert later["ball"][0] > thrown["ball"][0] + 0.02
-
-
 def test_the_wheel_pushes_a_held_body_away(session):
     session.screen.mouse_move(*BALL)
     session.after(2)

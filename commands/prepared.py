@@ -86,7 +86,7 @@ def prepared_capture(options: PlayOptions) -> None:
 
 def is_animated(splats: Path, rig: Path | None = None) -> bool:
     """True if the body made of these files moves by itself."""
-    from prepare.rig.rigging import is_skinned
+    from prepare.rig.rig_source import is_skinned
 
     return rig is not None or is_skinned(splats)
 

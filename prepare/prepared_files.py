@@ -24,7 +24,7 @@ from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.preparation_report import report_names, report_texts
 from prepare.progress import Checkpoints, Progress, progress_on
 from prepare.report_pictures import camera_for, orientation_strip, splat_picture, strip_name
-from prepare.rig.rigging import described, is_skinned, rig_source
+from prepare.rig.rig_source import described, is_skinned, rig_source
 from prepare.standing import stood_up
 
 # Vertices of a cage unless the user says; the next number where a shape finds no sound cage with one. A second of a

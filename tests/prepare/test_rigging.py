@@ -17,7 +17,7 @@ from prepare.pipeline import Options
 from prepare.prepared_files import prepare_file
 from prepare.rig.landmarks import ARM, LEG, NAMES, TREE, Landmarks, match_joints, name_parts, read_landmarks
 from prepare.rig.retargeting import BONES, PARENTS, retarget
-from prepare.rig.rigging import rig_source
+from prepare.rig.rig_source import rig_source
 from prepare.rig.skin_weights import least_volumes
 from tests.support.animated_shapes import animated_shapes
 from tests.support.glb import bar

@@ -1,8 +1,13 @@
-"""Skinned glTF mesh as a body: Gaussians on its surface, its skeleton, and its weights transferred to a cage."""
+"""Source of a body's motion: the rig given with a splat, or the body's own .glb, a skinned mesh.
+
+Of a skinned mesh: Gaussians on its surface, its skeleton, and its weights transferred to a cage.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,15 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from assets.animation import decompose, local_matrices, world_matrices
 from assets.asset import Asset
-from assets.formats.gltf import Rig, SkinnedMesh, linear_from_srgb, srgb_from_linear
+from assets.formats.gltf import GlbFile, Rig, SkinnedMesh, linear_from_srgb, read_mesh, read_rig, srgb_from_linear
 from assets.gaussians import Gaussians
 from assets.orientation import rotation_to_up
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.material import ANIMATED_MATERIAL
 from core.point_location import TetLocator
 from core.spherical_harmonics import C0
 from core.tetmesh import TET_EDGES, vertex_components
 from prepare.rig.body_segmentation import Joined, Segments, cut
-from prepare.rig.rigging import Skeleton, with_animation, with_provenance
+from prepare.rig.landmarks import landmarks_of, read_landmarks
+from prepare.rig.rigging import Skeleton, animate_person, with_animation, with_provenance
 from prepare.rig.skin_weights import diffuse_weights
 
 GAUSSIANS = 60_000
@@ -190,3 +198,80 @@ def mesh_adjacency(cage, parents: np.ndarray, x: np.ndarray, faces: np.ndarray, 
         return result
 
     return joined
+
+
+MAX_NAMED = 5  # landmarks with the largest residuals that are reported
+
+
+@dataclass(frozen=True)
+class RigSource:
+    """Motion for a body that is prepared.
+
+    gaussians  of the body, None if they are the file's;  up  the file's axis if it is known
+    animate    (prepared asset, distance grid its cage was made from) -> animated asset
+    """
+
+    gaussians: Gaussians | None
+    up: str | None
+    animate: Callable[[Asset, DistanceGrid], Asset]
+    material: str = ANIMATED_MATERIAL
+
+
+def is_skinned(path: Path) -> bool:
+    """True for a .glb with a skeleton. Raises BadInput."""
+    return path.suffix.lower() == ".glb" and bool(GlbFile(path).json.get("skins"))
+
+
+def rig_source(path: Path, rig: str | Path | None, landmarks: str | Path | None) -> RigSource | None:
+    """Source of the motion of the body in `path`, None if it has none. Reads all files named. Raises BadInput."""
+    if is_skinned(path):
+        if rig is not None or landmarks is not None:
+            raise BadInput(f"{path}: a .glb has its own rig; --rig and --landmarks are for splats")
+        return _own_rig(path)
+    if rig is None:
+        if landmarks is not None:
+            raise BadInput("--landmarks belongs to --rig RIG.glb")
+        return None
+    given = read_landmarks(landmarks) if landmarks is not None else {}
+    skeleton = read_rig(rig)[0]
+
+    def animate(asset: Asset, solid: DistanceGrid) -> Asset:
+        moving = animate_person(asset, skeleton, landmarks_of(asset, given, solid), solid)
+        moving.provenance["rig"]["source"] = Path(rig).name
+        return moving
+
+    return RigSource(None, None, animate)
+
+
+def _own_rig(path: Path) -> RigSource:
+    rig, file = read_rig(path)
+    mesh = read_mesh(file, len(rig.joints))
+    place = scene_from_mesh(rig)
+    x = mesh.vertices @ place[:3, :3].T + place[:3, 3]
+    try:
+        at = sample_mesh(x, mesh.faces)
+    except BadInput as e:
+        raise file.error(str(e)) from e
+    return RigSource(surface_gaussians(x, mesh, at), "+y", lambda asset, _: animate_mesh(asset, mesh, rig, at))
+
+
+def described(moving: dict) -> list[str]:
+    """Summary of the animation in a few lines, from the provenance."""
+    lines = [
+        f"motion: {moving['seconds']:.2f} s, {moving['joints']} joints; {moving['driven']} of {moving['surface']} "
+        f"vertices of the surface are driven, the others bend"
+    ]
+    if "landmarks" in moving:
+        by = [m["from"] for m in moving["landmarks"].values()]
+        lines.append(
+            f"landmarks: {by.count('given')} given, {by.count('solid')} found in the solid, "
+            f"{by.count('proportions')} by proportions (--landmarks overrides)"
+        )
+        for h in moving["held"]:
+            place = " ".join(f"{v:.2f}" for v in h["center"])
+            lines.append(f"the {h['by'].replace('_', ' ')} holds what is within {h['radius']:.2f} m of {place}")
+        off = sorted(((v[1], k) for k, v in moving["residual"].items()), reverse=True)[:MAX_NAMED]
+        named = ", ".join(f"{k} {100 * v:.1f} cm" for v, k in off if v > 0.0005)
+        if named:
+            lines.append(f"fitted skeleton off the landmarks: {named}")
+    return lines

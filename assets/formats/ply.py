@@ -159,6 +159,18 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects, sort=sort)
 
 
+def read_vertices(path: Path) -> np.ndarray:
+    """Rows of the vertex element of any .ply, (count,) with named fields. Raises BadInput."""
+    with open_input(path) as file:
+        order, elements = read_header(path, file)
+        vertex = next((e for e in elements if e.name == "vertex"), None)
+        if vertex is None or vertex.count == 0 or "list" in vertex.types:
+            raise BadInput(f"{path}: holds no points")
+        if order == "":
+            return _text_rows(path, file, vertex, elements[: elements.index(vertex)])
+        return binary_rows(path, file, file.tell(), elements, vertex, order)
+
+
 def _order(comments: list[str]) -> str:
     """The order of blending that a header's comments name, or ""."""
     return next((sort for sort in SORTS if f"sort {sort}" in comments), "")

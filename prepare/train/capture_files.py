@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import read_json
+from assets.formats.ply import read_vertices
 from assets.gaussians import MAGNITUDE_MAX
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
@@ -175,23 +176,15 @@ def _frame_lens(where: str, values: dict, image: Path) -> Lens:
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Points (P, 3) float64 and colours (P, 3) uint8, grey where the file has none. Raises BadInput."""
-    import trimesh
-
-    if not path.is_file():
-        raise BadInput(f"{path}: no such file (the capture's points)")
-    try:
-        with open(path, "rb") as file:
-            cloud = trimesh.load(file, file_type="ply", process=False)
-        points = np.asarray(cloud.vertices, np.float64)
-        colors = getattr(cloud, "colors", None)
-        if colors is None or len(colors) != len(points):
-            colors = np.full((len(points), 3), GREY)
-        colors = np.asarray(colors)[:, :3].astype(np.uint8)
-    except Exception as e:  # trimesh raises what it meets in a broken file: KeyError, ValueError, struct.error...
-        raise BadInput(f"{path}: no point cloud can be read ({e})") from e
-    if points.ndim != 2 or points.shape[1:] != (3,):
+    rows = read_vertices(path)
+    known = rows.dtype.names
+    if not {"x", "y", "z"} <= set(known):
         raise BadInput(f"{path}: holds no points")
-    return points, colors
+    points = np.stack([rows[name] for name in ("x", "y", "z")], axis=1).astype(np.float64)
+    if not {"red", "green", "blue"} <= set(known):
+        return points, np.full(points.shape, GREY, np.uint8)
+    colors = np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
+    return points, np.nan_to_num(colors).clip(0, 255).astype(np.uint8)
 
 
 def find_colmap_model(folder: Path) -> Path | None:

@@ -24,7 +24,6 @@ from prepare.train.view_corrections import Exposures, Poses
 COARSE = (4, 2)  # divisors of width and height in the coarse stage, each for an equal part of it
 SIDE_MIN = 32  # [px] smaller pictures are not reduced: SSIM's window is 11
 CLEARED = (0.5, 0.6, 0.7, 0.8, 0.9)  # fractions of a training at which free space is cleared: growth has ended
-STRATEGIES = {"default": AdaptiveDensity, "mcmc": MonteCarlo}
 FORMAT, VERSION = "vrgs-training", 2
 
 
@@ -117,9 +116,10 @@ class Trainer:
         self.rng = np.random.default_rng(options.seed)
         capacity = max(options.cap, len(start))
         self.population = Population(start, capacity, options.frozen, labelled=bool(self.objects))
-        self.strategy = STRATEGIES[options.strategy](self.population, extent, options.cap, self.rng)
-        if isinstance(self.strategy, AdaptiveDensity):
-            self.strategy.resets = options.resets
+        if options.strategy == "mcmc":
+            self.strategy = MonteCarlo(self.population, extent, options.cap, self.rng)
+        else:
+            self.strategy = AdaptiveDensity(self.population, extent, options.cap, self.rng, resets=options.resets)
         self.views = TrainingViews(photographs, options.coarse, len(self.objects))
         cameras = self.views.cameras
         size = max(c.height for c in cameras), max(c.width for c in cameras)
@@ -225,14 +225,9 @@ class Trainer:
         views = [self.views.at(view, 1.0) for view in range(len(self.views))]
         return sum(self.gradients.weights(v.camera, v.mask) for v in views if v.mask is not None)
 
-    def seen_objects(self, camera, ids: np.ndarray | None = None) -> np.ndarray:
-        """Id of the object that each pixel of a picture shows, (H, W) uint8; `ids`: those of the Gaussians, (N,).
-
-        Without `ids` they follow from the learned labels.
-        """
+    def seen_objects(self, camera: Camera, ids: np.ndarray) -> np.ndarray:
+        """Id of the object that each pixel of a picture shows, (H, W) uint8, for ids (N,) of the Gaussians."""
         count, value = len(self.objects), self.population.labels.value
-        if ids is None:
-            return nearest_label(self.gradients.labels(camera), count)
         kept = value.to_numpy()
         value.from_numpy(self.population.splats.padded(label_colors(count)[ids]))
         seen = nearest_label(self.gradients.labels(camera), count)

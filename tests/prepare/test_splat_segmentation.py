@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from assets.gaussians import Gaussians
+from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import read_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
+from core.rotation import quaternions_from_matrices
 from core.runtime import start_taichi
 from core.spherical_harmonics import C0
 from prepare.segment.graph_cut import clearest_level, graph_of, most_alike, neighbour_edges, random_walk
@@ -38,8 +39,6 @@ CAMERA = perspective(160, 120, 0.9, look_at((0.0, 0.9, 1.2), (0.0, 0.1, 0.0)))
 
 def surfels(points, normals, size, colour) -> Gaussians:
     """Flat Gaussians on a surface, (N, 3) each."""
-    from core.rotation import quaternions_from_matrices
-
     n = np.asarray(normals, float)
     side = np.cross(n, np.where(np.abs(n[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
@@ -51,8 +50,6 @@ def surfels(points, normals, size, colour) -> Gaussians:
 
 def balls_on_a_floor() -> tuple[Gaussians, np.ndarray]:
     """Two balls of one colour close together on a floor of nearly that colour; the exact ids (N,)."""
-    from assets.gaussians import concatenate
-
     x, z = np.meshgrid(np.linspace(-0.8, 0.8, 60), np.linspace(-0.8, 0.8, 60))
     floor = np.stack([x.ravel(), 0.0 * x.ravel(), z.ravel()], axis=1)
     parts = [surfels(floor, np.tile([0.0, 1.0, 0.0], (len(floor), 1)), 0.014, (0.5, 0.42, 0.3))]
@@ -80,13 +77,8 @@ def two_strokes() -> SplatMarks:
     at = np.array([[-0.17, 0.27, 0.09], [-0.2, 0.18, 0.15], [-0.14, 0.1, 0.14]])
     ring = np.linspace(-0.2, np.pi + 0.2, 9)
     around = np.stack([-0.17 + 0.24 * np.cos(ring), 0 * ring, 0.24 * np.sin(ring)], axis=1)
-    inside, outside = (projected(points) for points in (at, around))
+    inside, outside = (np.stack(CAMERA.projected(points)[:2], axis=1) for points in (at, around))
     return SplatMarks({"view_1": CAMERA}, Marks({"ball": {"view_1": ViewMarks([inside], [outside])}}))
-
-
-def projected(points) -> np.ndarray:
-    p = points @ CAMERA.world_to_camera[:3, :3].T + CAMERA.world_to_camera[:3, 3]
-    return np.stack([CAMERA.fx * p[:, 0] / p[:, 2] + CAMERA.cx, CAMERA.fy * p[:, 1] / p[:, 2] + CAMERA.cy], axis=1)
 
 
 @pytest.fixture(scope="module")
@@ -137,8 +129,6 @@ def test_what_another_object_has_is_not_taken(scene, views):
 
 def test_wide_gaussians_under_a_thing_stay_with_the_floor(scene, views):
     """All that are nearest to the one below the ball are of the ball, and colours differ by too little to help."""
-    from assets.gaussians import concatenate
-
     ball = scene[0].select(scene[1] == 1)
     ball = ball.transformed(np.eye(3), np.array([0.17, 0.0, 0.0]))
     g = concatenate([plane(11, 0.8, 0.15, (0.57, 0.45, 0.26)), ball])
@@ -150,8 +140,6 @@ def test_wide_gaussians_under_a_thing_stay_with_the_floor(scene, views):
 
 def slab_on_a_floor() -> tuple[Gaussians, np.ndarray]:
     """A flat box that lies with its whole bottom on a floor of its colour; which Gaussians (N,) bool are its own."""
-    from assets.gaussians import concatenate
-
     level = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # the normal turns from y to a side
     parts = [plane(81, 1.6, 0.04, (0.5, 0.5, 0.5))]
     for height in (0.012, 0.14):
@@ -176,8 +164,6 @@ def test_a_thing_on_its_whole_bottom_is_cut_off_along_the_rim(views):
 
 def test_a_share_is_seen_of_what_others_hide(views):
     """A plane above another one: each is seen from its own side alone, and one Gaussian beside them from everywhere."""
-    from assets.gaussians import concatenate
-
     low = plane(15, 0.3, 0.03, (0.5, 0.5, 0.5))
     alone = surfels(np.array([[0.0, 0.5, 0.0]]), np.array([[0.0, 1.0, 0.0]]), 0.03, (0.5, 0.5, 0.5))
     g = concatenate([low, low.transformed(np.eye(3), (0.0, 0.05, 0.0)), alone])
@@ -197,8 +183,6 @@ def test_likeness_falls_with_the_gap_the_colour_and_the_ratio_of_widths():
         return surfels(np.stack([x, 0 * x, np.full(len(x), z)], axis=1), up, size, colour)
 
     def likeness(other):
-        from assets.gaussians import concatenate
-
         low, high, weight = neighbour_edges(concatenate([row(0.0), other]))
         here = (low == 10) & (high == 10 + len(x))
         return float(weight[here][0])
@@ -406,12 +390,9 @@ def test_marks_and_cameras_are_read_as_they_were_written(tmp_path):
     write_splat_marks(tmp_path / "m.json", marks)
     read = read_splat_marks(tmp_path / "m.json")
     np.testing.assert_allclose(read.cameras["view_1"].world_to_camera, CAMERA.world_to_camera)
-    np.testing.assert_allclose(read.marks.objects["ball"]["view_1"].inside[0], projected_first(marks), atol=0.06)
+    inside = [m.marks.objects["ball"]["view_1"].inside[0] for m in (read, marks)]
+    np.testing.assert_allclose(*inside, atol=0.06)
     assert read.grow == {"ball": -2}
-
-
-def projected_first(marks: SplatMarks) -> np.ndarray:
-    return marks.marks.objects["ball"]["view_1"].inside[0]
 
 
 @pytest.mark.parametrize(

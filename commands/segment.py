@@ -17,6 +17,7 @@ from core.errors import BadInput
 from core.report import Section, html_page
 from core.runtime import start_taichi
 from display.picture import save_picture
+from prepare.progress import progress_on
 from prepare.segment.marks import Marks, SplatMarks, read_marks, read_splat_marks, write_marks, write_splat_marks
 from prepare.segment.mask_files import (
     check_masks_folder,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 WINDOW_SIZE, SPLAT_WINDOW_SIZE = (1200, 680), (1200, 640)  # in screen coordinates
 MARKS_FILE = "marks.json"  # in the output folder
-LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
+STEPS = ("photographs", "splats", "depths", "surface", "masks", "votes")  # of `segment_capture`, for the progress
 
 
 @dataclass(kw_only=True)
@@ -119,16 +120,18 @@ def segment_capture(options: SegmentOptions) -> None:
         if options.marks is None
         else read_marks(options.marks, sizes)
     )
-    start, progress = time.perf_counter(), TimeLeft()
+    start, progress = time.perf_counter(), progress_on(sys.stderr, STEPS)
     photographs = []
-    for k, view in enumerate(capture.views):
-        photographs.append(load_photograph(view, options.reduce))
-        progress("photographs", (k + 1) / len(capture.views))
-    if splats is not None:
-        progress("splats beside photographs", 0.0)  # compiles the renderer
-        capture, photographs = in_world_of(splats, capture, photographs, options.splats)
-    masks = propagate_marks(capture, photographs, marks, splats, progress, cut=cut)
-    progress.end()
+    try:
+        for k, view in enumerate(capture.views):
+            photographs.append(load_photograph(view, options.reduce))
+            progress("photographs", (k + 1) / len(capture.views))
+        if splats is not None:
+            progress("splats", 0.0)  # compiles the renderer
+            capture, photographs = in_world_of(splats, capture, photographs, options.splats)
+        masks = propagate_marks(capture, photographs, marks, splats, progress, cut=cut)
+    finally:
+        progress.close()
     write_masks(options.out, capture.views, masks)
     if options.overlay is not None:
         write_sheet(options.overlay, capture.views, masks)
@@ -172,32 +175,6 @@ def write_sheet(path: Path, views: list, masks) -> None:
     with atomic_write(path) as beside:
         text = f"{', '.join(masks.names)} in {len(views)} photographs."
         beside.write_text(html_page("Masks", text, [section]), encoding="utf-8")
-
-
-class TimeLeft:
-    """Prints the progress of a step and the time left."""
-
-    def __init__(self) -> None:
-        self._step, self._begin, self._told = None, 0.0, 0.0
-
-    def __call__(self, step: str, done: float) -> None:
-        now, terminal = time.perf_counter(), sys.stderr.isatty()
-        if step != self._step:
-            self.end()
-            self._step, self._begin, self._told = step, now, now
-        if now - self._told < LINE_SECONDS * (0.1 if terminal else 1.0):
-            return
-        self._told, passed = now, now - self._begin
-        left = f", {passed * (1 - done) / done:.0f} s left" if done > 0 else ""
-        text = f"{step} {done:.0%}{left}"
-        print(f"\r{text:<60}" if terminal else text, end="" if terminal else "\n", file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        """Close the line of the last step."""
-        if self._step is not None:
-            text = f"{self._step}: {time.perf_counter() - self._begin:.1f} s"
-            print(f"\r{text:<60}" if sys.stderr.isatty() else text, file=sys.stderr, flush=True)
-        self._step = None
 
 
 def in_world_of(splats, capture, photographs: list, path: Path):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from core.rotation import matrices_from_quaternions
 from core.tetmesh import tet_volumes
 from core.vocabulary import IDENTITY, Quat, Vec3
 from sim.time_step import clamp_stiffness, lame, stiffness_bounds, wave_speed
-
-if TYPE_CHECKING:
-    from sim.rigid.rigid_body import RigidBody
 
 MAX_BODIES = 64  # per-body fields are tiny; one size for all scenes keeps compiled kernels in the cache
 
@@ -198,11 +195,11 @@ class RestShape:
         self._kept: dict = {}
 
     @classmethod
-    def of(cls, body: SoftBody | RigidBody) -> RestShape:
+    def of(cls, body: SoftBody) -> RestShape:
         boxed = body.rigid and body.boxed
         return cls(body.vertices, body.tets, body.surface, body.sdf, rigid=body.rigid, boxed=boxed)
 
-    def fits(self, body: SoftBody | RigidBody) -> bool:
+    def fits(self, body: SoftBody) -> bool:
         """Return whether the body has this mesh."""
         if (self.rigid, self.boxed) != (body.rigid, body.rigid and body.boxed):
             return False
@@ -283,13 +280,16 @@ class RestShape:
 
 
 class BodyModel:
-    """A body of the solver, its shape, and the constants that follow from both and its material."""
+    """A body of the solver, its shape, and the constants that follow from both and its material.
 
-    def __init__(self, body: SoftBody | RigidBody, shape: RestShape):
+    The body is a SoftBody, or a RigidBody (sim/rigid/rigid_body.py), which has the same attributes.
+    """
+
+    def __init__(self, body: SoftBody, shape: RestShape):
         self.body, self.shape = body, shape
 
     @classmethod
-    def of(cls, body: SoftBody | RigidBody, others: list[BodyModel]) -> BodyModel:
+    def of(cls, body: SoftBody, others: list[BodyModel]) -> BodyModel:
         """Check a body; it shares the shape of another one with the same mesh."""
         shape = next((p.shape for p in others if p.shape.fits(body)), None)
         body.check()
@@ -352,7 +352,7 @@ def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
 
 
-def models_of(bodies: Iterable[SoftBody | RigidBody]) -> list[BodyModel]:
+def models_of(bodies: Iterable[SoftBody]) -> list[BodyModel]:
     """Check bodies; those with the same mesh share a shape."""
     models: list[BodyModel] = []
     for b in bodies:

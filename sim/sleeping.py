@@ -11,21 +11,16 @@ So what is awake never meets what sleeps: no contact is solved between them, and
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
-from sim.contacts import FINGER
+from sim.contacts import FINGER, Contacts
 from sim.model import MAX_BODIES
-from sim.rigid.rigid_bodies import DRIVEN, FREE
-
-if TYPE_CHECKING:
-    from sim.contacts import Contacts
-    from sim.reductions import Reductions
-    from sim.rigid.rigid_bodies import RigidBodies
-    from sim.state import State
+from sim.reductions import Reductions
+from sim.rigid.rigid_bodies import DRIVEN, FREE, RigidBodies
+from sim.state import State
 
 REST_DISTANCE = 5e-4  # [m]: a pixel at arm's length; four times what bodies that press on one another creep in a second
 REST_TIME = 1.0  # [s]: a swing of 7 mm that takes 5 s stays within REST_DISTANCE for 0.7 s where it turns
@@ -47,9 +42,7 @@ class Sleeping:
     settles i32[B]: it falls asleep after this frame;   order i32[R]: the candidates r, as -1 - r if both bodies sleep
     """
 
-    def __init__(
-        self, state: "State", reductions: "Reductions", contacts: "Contacts | None", rigid: "RigidBodies | None"
-    ):
+    def __init__(self, state: State, reductions: Reductions, contacts: Contacts | None, rigid: RigidBodies | None):
         """Without contacts no body ever sleeps: nothing would wake it."""
         self.state, self.reductions, self.contacts, self.rigid = state, reductions, contacts, rigid
         self.enabled, self.coupled = contacts is not None, rigid is not None

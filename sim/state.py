@@ -20,28 +20,19 @@ launch, and equal capacities let scenes of different sizes share compiled kernel
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
 
 from core.errors import BadInput
 from core.fields import Download, FieldGroup, Upload, round_up_capacity, two_sum
-from sim.model import MAX_BODIES, Capacity, Sizes, fit
+from sim.model import MAX_BODIES, Capacity, Model, Sizes, fit
 from sim.time_step import STABILITY_LIMIT
-
-if TYPE_CHECKING:
-    from sim.model import Model
 
 # dt sqrt(max kappa) up to which the stress may lag, three times what XPBD bears. Beyond, the sweeps of VBD leave too
 # much undone: of an undamped bar of 12 x 4 x 4 cells, energy stayed within 1% at 1.1, and grew a thousandfold at 4.5.
 MAX_LAGGING_STABILITY = 1.0
-MOTION = (
-    "x",
-    "x_lo",
-    "v",
-    "v_lo",
-)  # arrays of a snapshot: what float32 holds of positions and velocities, and what is lost
+MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot; x_lo and v_lo are what float32 does not hold of x and v
 SERIAL_BELOW = 3000  # tets of the first bodies: under this, waking the CPU's worker threads costs more than they save
 
 
@@ -114,7 +105,7 @@ class State:
         motion = [getattr(self, name) for name in MOTION]
         self._download_motion, self._upload_motion = Download(motion), Upload(motion)
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         """Take these bodies, of which only the motion is left to be set."""
         columns = model.columns()
         if self._upload is None:

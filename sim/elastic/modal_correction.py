@@ -19,7 +19,6 @@ says nothing of the energy here: the step would become nothing, and what the pus
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg as sl
@@ -36,9 +35,6 @@ from sim.reductions import ReductionBlocks
 from sim.state import State
 from sim.time_step import lame
 
-if TYPE_CHECKING:
-    from sim.elastic.vbd import VertexDescent
-
 MODES = 24  # of a body: six rigid, and a bar's bending, twist and stretch to about the third overtone
 LATTICE_CELLS = 4  # along the body's longest side
 MIN_RELATIVE_MASS = 1e-6  # of the heaviest lattice motion's mass: a lighter one moves next to no vertex
@@ -49,6 +45,7 @@ MOMENTS = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
 class ModalCorrection:
     """The correction: its steps, each by `lanes` threads for a block of vertices or a body, and CPU kernels of them.
 
+    descent is the VertexDescent whose target, reaction and contact_stiffness are read (sim/elastic/vbd.py).
     A block is a run of at most 64 vertices of one body (ReductionBlocks). In a persistent kernel a warp takes a block,
     and all threads meet between the steps, which are, after a substep's last sweep:
 
@@ -61,9 +58,7 @@ class ModalCorrection:
         shortening                            a / b
     """
 
-    def __init__(
-        self, state: State, elasticity: Elasticity, blocks: ReductionBlocks, descent: "VertexDescent", lanes: int = 1
-    ):
+    def __init__(self, state: State, elasticity: Elasticity, blocks: ReductionBlocks, descent, lanes: int = 1):
         self.state, self.elasticity, self.blocks, self.descent, self.lanes = state, elasticity, blocks, descent, lanes
         V, B, N = state.V, MAX_BODIES, blocks.size
         g = self._group = FieldGroup()

@@ -18,16 +18,13 @@ The integrator that runs the substep is handed to the phases, because they depen
 import ctypes
 import sys
 from functools import cache
-from typing import TYPE_CHECKING
 
 import taichi as ti
 
 from core.fields import FieldGroup
 from core.lanes import from_lane, lane_count, sum_lanes
+from sim.model import Model
 from sim.state import State
-
-if TYPE_CHECKING:
-    from sim.model import Model
 
 
 @ti.data_oriented
@@ -47,10 +44,10 @@ class Constraint:
     phase_sizes: tuple[int, ...] = ()
     max_groups = 0
 
-    def check_capacity(self, model: "Model") -> None:
+    def check_capacity(self, model: Model) -> None:
         """Raise CapacityError if these bodies do not fit."""
 
-    def load(self, model: "Model") -> None:
+    def load(self, model: Model) -> None:
         """Take other bodies into the same fields and kernels; contacts and grasps are forgotten."""
 
     def begin_frame(self, hands: list, dt: float, substeps: int) -> None:

@@ -19,7 +19,7 @@ from display.timing import Timings
 from display.world import World
 from display.xr import avatar
 from display.xr.actions import Controller
-from display.xr.headset import NoMirror
+from display.xr.headset import Mirror
 from display.xr.swapchains import FRAGMENT, VERTEX
 from scenes import ring_toss
 from scenes.scene import Scene
@@ -133,7 +133,7 @@ def run() -> Iterator[dict]:
 def measure(exact: bool) -> dict:
     """Times [ms] of FRAMES frames and their stages; with `exact` each stage waits for the device."""
     play = StereoPlay(ring_toss.build())
-    opengl = NoMirror(2)
+    opengl = Mirror("", (0, 0), 2, shown=False)
     gl, picture = opengl.gl, opengl.texture
     targets = [gl.framebuffer(color_attachments=[gl.texture(EYE_SIZE, 4)]) for _ in range(2)]
     program = gl.program(VERTEX, FRAGMENT)

@@ -44,33 +44,39 @@ MIN_SIDE, MAX_SIDE = 16, 8192  # [px] of an eye's picture
 
 
 class Mirror:
-    """A window that shows what the left eye sees, and the panel. `gl` is its context (moderngl)."""
+    """A window that shows what the left eye sees, and the panel; or, not `shown`, only an OpenGL context for `views`.
 
-    egl: EglContext | None = None
+    gl   its context (moderngl)
+    egl  the context of EGL where there is no window
+    """
 
-    def __init__(self, scene: Scene, title: str, width: int, height: int, views: int):
-        self._surface = GLWindow(title, width, height, vsync=False)  # the headset sets the rate
-        self.gl = self._surface.gl
+    def __init__(self, title: str, size: tuple[int, int], views: int, *, shown: bool):
+        self._surface = GLWindow(title, *size, vsync=False) if shown else None  # the headset sets the rate
+        self.egl = None if shown else EglContext()
+        self.gl = (self._surface or self.egl).gl
         self.texture = PictureTexture(self.gl, views=views)
-        self._panel = PanelDrawer(title, self._surface.scale, Panel())
+        self._panel = PanelDrawer(title, self._surface.scale, Panel()) if shown else None
 
     @property
     def closing(self) -> bool:
         """True once the user has asked to close the window."""
-        return self._surface.closing
+        return self._surface is not None and self._surface.closing
 
     @property
     def resolution(self) -> float | None:
-        """Scale of a side of the headset's pictures, as the user has chosen; None: what holds the rate."""
-        return self._panel.panel.scale
+        """Scale of a side of the headset's pictures that the user has chosen; None: what holds the rate."""
+        return None if self._panel is None else self._panel.panel.scale
 
     def show_title(self, title: str) -> None:
         """Give window and panel another title."""
-        self._surface.set_title(title)
-        self._panel.title = title
+        if self._surface is not None:
+            self._surface.set_title(title)
+            self._panel.title = title
 
     def show(self, world: WorldView) -> list[Command]:
         """Draw the picture that was last uploaded, and the panel; the panel's commands."""
+        if self._surface is None:
+            return []
         self._surface.begin()
         self.texture.draw(self._surface.frame_size)
         commands = self._panel.draw(world, visible=True)
@@ -79,35 +85,8 @@ class Mirror:
         return commands
 
     def close(self) -> None:
-        """Close the window. Further calls do nothing."""
-        self._surface.close()
-
-
-class NoMirror:
-    """OpenGL without a window."""
-
-    closing, resolution = False, None
-
-    def __init__(self, views: int):
-        self.egl = EglContext()
-        self.gl = self.egl.gl
-        self.texture = PictureTexture(self.gl, views=views)
-
-    def show_title(self, title: str) -> None:
-        """No-op."""
-
-    def show(self, world: WorldView) -> list[Command]:
-        """No-op: there is no window, and no command."""
-        return []
-
-    def close(self) -> None:
-        """Destroy the context. Further calls do nothing."""
-        self.egl.close()
-
-
-def open_mirror(scene: Scene, title: str, size: tuple[int, int], views: int) -> Mirror | NoMirror:
-    """A window where there is a screen for it, else none."""
-    return Mirror(scene, title, *size, views) if has_display() else NoMirror(views)
+        """Close the window or context. Further calls do nothing."""
+        (self._surface or self.egl).close()
 
 
 class Headset(Display):
@@ -134,7 +113,7 @@ class Headset(Display):
         self._marks, self._required = marks, required_extensions(window=has_display())
         self._runtime = self._connect(HEADSET_TIMEOUT)
         try:
-            self._mirror = open_mirror(scene, title, window, self.views)
+            self._mirror = Mirror(title, window, self.views, shown=has_display())
             self._runtime.check_opengl(self._mirror.gl)
             recommended = np.max(self._runtime.view_sizes, axis=0)
             self.size = tuple(int(np.clip(round(side * scale), MIN_SIDE, MAX_SIDE)) for side in recommended)

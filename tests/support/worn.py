@@ -65,7 +65,7 @@ def worn(monkeypatch):
     """A fixture. wear(fake, frames): play that many frames; (headset, world). The clock of all is wear.time."""
     time, mirrors = Time(), []
 
-    def open_mirror(scene, title, window, views):
+    def make_mirror(title, size, views, *, shown):
         gl = MagicMock(version_code=450, extra=lambda name: ctypes.cast(ATTACH, ctypes.c_void_p).value)
         mirror = N(gl=gl, egl=None, texture=MagicMock(), closing=False, resolution=None, closed=0)
         mirror.show = lambda world: []
@@ -88,7 +88,7 @@ def worn(monkeypatch):
 
     for name in ("display.xr.headset.time", "display.xr.openxr_runtime.time", "display.xr.session.clock"):
         monkeypatch.setattr(name, time)
-    monkeypatch.setattr(module, "open_mirror", open_mirror)
+    monkeypatch.setattr(module, "Mirror", make_mirror)
     monkeypatch.setattr(module, "has_display", lambda: False)
     monkeypatch.setattr(module, "graphics_binding", lambda xr, egl: xr.GraphicsBindingEGLMNDX())
     play.time, play.mirrors = time, mirrors

@@ -24,8 +24,8 @@ from display.picture import pixels_of
 from prepare.pipeline import Options, prepare
 from render.renderer import Renderer
 from render.splats import Splats
+from sim.bodies import SoftBody
 from sim.embedding import EmbeddedBody, Embedding
-from sim.model import SoftBody
 from sim.solver import Solver
 
 SCHEMES = ("one-level", "two-level")

@@ -18,8 +18,8 @@ from core.material import RAYLEIGH_FREQUENCY, Material
 from core.runtime import start_taichi
 from core.tetmesh import tet_volumes
 from core.vocabulary import Plane
+from sim.bodies import SoftBody
 from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1
-from sim.model import SoftBody
 from sim.solver import Solver
 
 DENSITY, G = 1000.0, 9.81

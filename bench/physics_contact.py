@@ -13,8 +13,7 @@ from bench.physics import at_most, row, tet_energies
 from bench.sample_meshes import box, torus
 from core.material import Material
 from core.vocabulary import Capsule, Hand, Plane
-from sim.model import SoftBody
-from sim.rigid.rigid_body import RigidBody
+from sim.bodies import RigidBody, SoftBody
 from sim.solver import Solver
 
 FRAME, G = 1 / 60, 9.81

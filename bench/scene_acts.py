@@ -14,9 +14,10 @@ from bench.measured_bodies import brick
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Hand, Plane
+from sim.bodies import SoftBody
 from sim.contact.contact_samples import points_of, spacing_for
 from sim.contact.static_shapes import Shape, StaticGrid
-from sim.model import BodyModel, RestShape, SoftBody
+from sim.model import BodyModel, RestShape
 
 WALL, STEP_HEIGHT = 0.6, 0.03  # [m] x of the wall, and height of the step in the floor, at x < 0
 SPACING, ROOM = 0.02, ((-1.2, -0.2, -1.0), (0.8, 1.6, 1.0))  # [m] of the room's distance grid, and its corners

@@ -18,8 +18,8 @@ from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
+from sim.bodies import SoftBody
 from sim.contact.static_shapes import StaticGrid
-from sim.model import SoftBody
 from sim.solver import Solver
 
 SUBSTEP, SUBSTEPS, HEADSET_FRAME = 1e-4, 400, 1 / 90

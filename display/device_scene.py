@@ -23,11 +23,11 @@ from render.renderer import Renderer
 from render.shadow_map import ShadowMap
 from render.splats import Splats, StillPose
 from scenes.scene import Scene
+from sim.bodies import RigidBody
 from sim.contact.contact_samples import MAX_SAMPLES
 from sim.contact.static_shapes import LineOfSight, placed
 from sim.embedding import BodySpan, Embedding, PackedBody
 from sim.model import MAX_BODIES, Capacity
-from sim.rigid.rigid_body import RigidBody
 from sim.solver import SoftBody, Solver
 
 if TYPE_CHECKING:

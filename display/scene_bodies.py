@@ -19,10 +19,10 @@ from core.morton import morton_order
 from core.rotation import best_fit_rotation, matrices_from_quaternions
 from core.vocabulary import Body, BodyState
 from scenes.scene import Scene
+from sim.bodies import RigidBody
 from sim.contact.static_shapes import StaticGrid
 from sim.embedding import EmbeddedBody
 from sim.kinematic_targets import Skinning
-from sim.rigid.rigid_body import RigidBody
 from sim.solver import MAX_FRAME_DT, SoftBody, Solver
 
 DROP_HEIGHT = 0.03  # [m] between a body and what it falls on

@@ -13,8 +13,9 @@ import numpy as np
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import best_fit_rotation, quaternions_from_matrices
+from sim.bodies import SoftBody
 from sim.hands.grasp import GraspState
-from sim.model import BodyModel, SoftBody, body_index, motion
+from sim.model import BodyModel, body_index, motion
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from core.fields import destroy_fields
 from core.material import Material
 from core.vocabulary import BodyState, Hand
 from sim import body_editing
+from sim.bodies import RigidBody, SoftBody
 from sim.body_editing import MovingBodies
 from sim.contact.static_shapes import Shape
 from sim.contacts import Contacts
@@ -26,11 +27,10 @@ from sim.elastic.xpbd import PersistentXPBD, XPBDSubsteps
 from sim.hands.grasp import Grasps, GraspState, RigidGrasp
 from sim.hands.rigid_editing import RigidEditing
 from sim.kinematic_targets import KinematicTargets
-from sim.model import BodyModel, Capacity, Model, SoftBody, models_of
+from sim.model import BodyModel, Capacity, Model, models_of
 from sim.recovery import NonFiniteRecovery, Untangling
 from sim.reductions import Observation, ReductionBlocks, Reductions
 from sim.rigid.rigid_bodies import MAX_RIGID_SUBSTEP, RigidBodies, passes_for
-from sim.rigid.rigid_body import RigidBody
 from sim.sleeping import Sleeping
 from sim.state import MOTION, State, motion_of
 from sim.time_step import STABILITY_LIMIT, SWEEPS, Integration, Schedule, choose_integration

@@ -22,7 +22,7 @@ from bench import physics
 from core.material import Material
 from core.runtime import start_taichi
 from core.tetmesh import boundary_surface, tet_volumes
-from sim.model import SoftBody
+from sim.bodies import SoftBody
 
 ROOT = Path(__file__).resolve().parents[2]
 BUNNY = ROOT.parent / "shared" / "data" / "tets" / "bunny_gaia.npz"

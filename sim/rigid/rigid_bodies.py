@@ -20,13 +20,13 @@ from core import quaternion
 from core.errors import BadInput
 from core.fields import FieldGroup, Upload, two_sum
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
+from sim.bodies import RigidBody
 from sim.contact.constraints import STEPS_PER_METER
 from sim.contact.contact_samples import ContactSamples, points_of
 from sim.contact.response import CONTACT_SLOP, angular_inv_mass
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, box_distance
 from sim.elastic.substep import Constraint
 from sim.model import MAX_BODIES, BodyModel, Model, RestShape
-from sim.rigid.rigid_body import RigidBody
 from sim.state import State
 
 SOFT, FREE, DRIVEN = range(3)  # kinds of bodies

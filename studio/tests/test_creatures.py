@@ -12,7 +12,7 @@ from assets.asset import Asset
 from core.rotation import matrices_from_quaternions
 from core.tetmesh import tet_volumes
 from core.vocabulary import Plane
-from sim.model import SoftBody
+from sim.bodies import SoftBody
 from sim.solver import Solver
 from sim.time_step import stiffness_bounds
 from studio.catalogue import MODELS

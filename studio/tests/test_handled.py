@@ -8,8 +8,7 @@ from numpy.testing import assert_allclose
 
 from core.rotation import matrices_from_quaternions
 from scenes import box_moving, table_brick_game
-from sim.model import SoftBody
-from sim.rigid.rigid_body import RigidBody
+from sim.bodies import RigidBody, SoftBody
 from studio.attic import attic_shell, boxes
 from studio.catalogue import BOXES, BRICKS, build_model
 from studio.detail import Detail

@@ -155,7 +155,7 @@ def test_a_ball_dropped_there_lies_on_the_table(scenes, tmp_path):
     from bench.sample_meshes import box
     from core.material import Material
     from display.scene_bodies import place_static
-    from sim.model import SoftBody
+    from sim.bodies import SoftBody
     from sim.solver import Solver
 
     x, tets, surface = box((0.1, 0.1, 0.1), (4, 4, 4))

@@ -12,8 +12,9 @@ from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Box, Hand
+from sim.bodies import SoftBody
 from sim.contact.static_shapes import DistanceGrids, grid_of, rest_grid
-from sim.model import BodyModel, Capacity, RestShape, SoftBody
+from sim.model import BodyModel, Capacity, RestShape
 from sim.solver import Solver
 
 DT = 1 / 60

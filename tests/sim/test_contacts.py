@@ -10,7 +10,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand, Plane
-from sim.model import SoftBody
+from sim.bodies import SoftBody
 from tests.support.soft_world import (
     BOX,
     CAPSULE,

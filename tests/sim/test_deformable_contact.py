@@ -8,8 +8,8 @@ from bench.physics_contact import run
 from bench.sample_meshes import box, torus
 from core.material import Material
 from core.vocabulary import Capsule
+from sim.bodies import SoftBody
 from sim.contact.nearest_tet import tet_neighbors
-from sim.model import SoftBody
 from sim.solver import Solver
 from tests.support.soft_world import FLOOR, soft_solver
 

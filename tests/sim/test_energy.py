@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench.physics import fem_stiffness
 from bench.sample_meshes import box
 from core.material import Material
-from sim.model import BodyModel, Model, RestShape, SoftBody
+from sim.bodies import SoftBody
+from sim.model import BodyModel, Model, RestShape
 from sim.time_step import STABILITY_LIMIT, lame, largest_substep, stiffness_bounds
 
 MATERIAL = Material(young=1e5, poisson=0.4, density=1000.0)
@@ -251,7 +252,7 @@ def test_the_rule_keeps_the_jacobi_sum_stable():
     import scipy.sparse as sp
     import scipy.sparse.linalg as spla
 
-    from sim.model import SoftBody
+    from sim.bodies import SoftBody
 
     x, tets, surface = box((1.0, 0.2, 0.2), (10, 2, 2), mirror=False)
     for nu in (0.0, 0.3, 0.45, 0.49):

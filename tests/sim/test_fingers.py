@@ -10,6 +10,7 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Box, Hand, Touch
+from sim.bodies import RigidBody, SoftBody
 from sim.contact.finger_capsules import (
     CAPSULES_PER_HAND,
     MAX_RADIUS,
@@ -18,8 +19,6 @@ from sim.contact.finger_capsules import (
     sample_positions,
 )
 from sim.hands.grasp import MAX_HAND_FORCE
-from sim.model import SoftBody
-from sim.rigid.rigid_body import RigidBody
 from sim.solver import Solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from core.vocabulary import Hand
+from sim.bodies import SoftBody
 from sim.hands.grasp import MAX_HAND_FORCE
-from sim.model import SoftBody
 from tests.support.soft_world import soft_solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)

@@ -9,8 +9,7 @@ from bench.sample_meshes import box, torus
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Hand, Plane
-from sim.model import SoftBody
-from sim.rigid.rigid_body import RigidBody
+from sim.bodies import RigidBody, SoftBody
 from sim.solver import Solver
 
 FRAME = 1 / 60

@@ -7,8 +7,9 @@ from numpy.testing import assert_allclose
 from bench.physics import BAR, LEFT, SURFACE, TETS, fem_stiffness
 from bench.sample_meshes import box
 from core.material import Material
+from sim.bodies import SoftBody
 from sim.elastic.modal_correction import MODES, lattice_motions, modes_of, softest_modes
-from sim.model import RestShape, SoftBody
+from sim.model import RestShape
 from sim.time_step import lame
 
 

@@ -11,10 +11,9 @@ from taichi.math import vec3
 from bench.sample_meshes import torus
 from core.fields import destroy_fields
 from core.material import Material
+from sim.bodies import RigidBody, SoftBody
 from sim.contact.broad_phase import PointHash
 from sim.contact.nearest_tet import CELL_SIZE, deformed_gradient, rest_coordinates
-from sim.model import SoftBody
-from sim.rigid.rigid_body import RigidBody
 from sim.solver import Solver
 from tests.support.soft_world import soft_solver
 

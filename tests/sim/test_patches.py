@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
+from sim.bodies import SoftBody
 from sim.elastic.patches import (
     MAX_LOCAL,
     MAX_SLOTS,
@@ -25,7 +26,7 @@ from sim.elastic.patches import (
     patch_begins,
 )
 from sim.elastic.vbd import VBDSubsteps, color_vertices
-from sim.model import BodyModel, Model, RestShape, SoftBody
+from sim.model import BodyModel, Model, RestShape
 from sim.solver import Solver
 
 pytestmark = pytest.mark.usefixtures("ti_cpu")

@@ -7,12 +7,12 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from core.vocabulary import Plane
+from sim.bodies import RigidBody, SoftBody
 from sim.elastic.patches import PLACES, RESIDENT
 from sim.elastic.vbd import VBDSubsteps
 from sim.elastic.vbd_persistent import PersistentVBD
 from sim.elastic.xpbd import PersistentXPBD, XPBDSubsteps
-from sim.model import BodyModel, Model, SoftBody
-from sim.rigid.rigid_body import RigidBody
+from sim.model import BodyModel, Model
 from sim.solver import Solver
 
 pytestmark = pytest.mark.usefixtures("ti_cpu")

@@ -7,7 +7,8 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Plane
-from sim.model import Capacity, SoftBody
+from sim.bodies import SoftBody
+from sim.model import Capacity
 from sim.solver import Solver
 
 DT = 1 / 60

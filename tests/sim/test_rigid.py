@@ -9,9 +9,9 @@ from bench import physics_contact
 from bench.physics_contact import SIDE, playground
 from core.errors import BadInput
 from core.vocabulary import Hand, Plane
+from sim.bodies import RigidBody
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.model import MAX_BODIES
-from sim.rigid.rigid_body import RigidBody
 from sim.rigid.rigid_broad_phase import SLOTS, WORLD
 from sim.solver import Solver
 

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench.sample_meshes import box
 from core.material import Material
 from core.vocabulary import Hand
+from sim.bodies import SoftBody
 from sim.hands.rigid_editing import MAX_SCALE, MIN_SCALE
-from sim.model import SoftBody
 from tests.support.soft_world import soft_solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)

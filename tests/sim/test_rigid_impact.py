@@ -7,8 +7,8 @@ from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Plane
-from sim.model import MAX_BODIES, SoftBody
-from sim.rigid.rigid_body import RigidBody
+from sim.bodies import RigidBody, SoftBody
+from sim.model import MAX_BODIES
 from sim.rigid.rigid_broad_phase import WORLD
 from sim.solver import Solver
 

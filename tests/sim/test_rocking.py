@@ -12,7 +12,8 @@ from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import boundary_surface
 from core.vocabulary import Plane
-from sim.model import Capacity, SoftBody, models_of
+from sim.bodies import SoftBody
+from sim.model import Capacity, models_of
 from sim.solver import Solver
 
 FRAME = 1 / 60

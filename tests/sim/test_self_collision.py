@@ -7,8 +7,9 @@ from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand
+from sim.bodies import SoftBody
 from sim.contact.broad_phase import can_fold
-from sim.model import RestShape, SoftBody
+from sim.model import RestShape
 from tests.support.soft_world import soft_solver
 
 DT = 1 / 60

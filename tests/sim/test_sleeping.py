@@ -10,7 +10,8 @@ from bench.physics_contact import pile, run
 from bench.sample_meshes import box
 from core.material import Material
 from core.vocabulary import Hand, Plane, Touch
-from sim.model import Capacity, SoftBody, models_of
+from sim.bodies import SoftBody
+from sim.model import Capacity, models_of
 from sim.sleeping import REST_TIME, bits
 from sim.solver import Solver
 

@@ -10,7 +10,7 @@ from bench.physics import vibration_energy
 from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
-from sim.model import SoftBody
+from sim.bodies import SoftBody
 from sim.solver import MAX_FRAME_DT, Solver
 
 pytestmark = pytest.mark.usefixtures("ti_cpu")

@@ -11,10 +11,10 @@ from core.distance_grid import DistanceGrid
 from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions
 from core.vocabulary import Box, Capsule, Plane
+from sim.bodies import RigidBody
 from sim.contact.contact_samples import CapsuleSamples, points_of, skin_depth, spacing_for, surface_points, thin_out
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, StaticGrid, StaticShapes, rest_grid
 from sim.model import BodyModel
-from sim.rigid.rigid_body import RigidBody
 
 PLANE = Plane((0.1, 0.2, -0.3), (0.0, 3.0, 4.0), friction=0.25)
 CAPSULE = Capsule((0.1, 0.0, 0.2), (0.3, 0.4, 0.1), 0.05, friction=0.75)

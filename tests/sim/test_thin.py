@@ -9,8 +9,8 @@ from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Box, Capsule, Hand
+from sim.bodies import SoftBody
 from sim.contact.static_shapes import StaticGrid
-from sim.model import SoftBody
 from sim.solver import Solver
 
 RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.4)

@@ -6,7 +6,8 @@ import pytest
 from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
-from sim.model import BodyModel, SoftBody
+from sim.bodies import SoftBody
+from sim.model import BodyModel
 from sim.time_step import Schedule, choose_integration, clamp_stiffness, largest_substep, wave_speed
 
 FRAME = 1 / 60

@@ -10,8 +10,8 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand
+from sim.bodies import SoftBody
 from sim.hands.grasp import MAX_HAND_FORCE
-from sim.model import SoftBody
 from sim.solver import Solver
 from tests.support.soft_world import soft_solver
 

@@ -6,7 +6,7 @@ import pytest
 from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
-from sim.model import SoftBody
+from sim.bodies import SoftBody
 from sim.solver import Solver
 
 POISSON = (0.0, 0.3, 0.4, 0.45)

@@ -13,9 +13,10 @@ from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand, Plane
+from sim.bodies import SoftBody
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.vbd import color_ranges, color_vertices
-from sim.model import Capacity, Model, SoftBody, models_of
+from sim.model import Capacity, Model, models_of
 from sim.solver import Solver
 from sim.time_step import lame
 

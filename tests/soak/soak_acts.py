@@ -15,8 +15,8 @@ from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Hand
+from sim.bodies import SoftBody
 from sim.contact.static_shapes import rest_grid
-from sim.model import SoftBody
 
 ARENA = 1.0  # [m] from the middle to each wall
 MAX_BODIES = 40

@@ -9,7 +9,7 @@ from assets.asset import Asset
 from core.material import ANIMATED_MATERIAL, Material
 from core.vocabulary import Body
 from display.scene_bodies import AnimationTargets
-from sim.model import SoftBody
+from sim.bodies import SoftBody
 from sim.solver import Solver
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import cv2
 import numpy as np
 
 from assets.camera_file import parse_camera
@@ -125,8 +126,6 @@ def marks_json(marks: Marks) -> dict:
 
 def drawn_strokes(strokes: list[np.ndarray], shape: tuple[int, int], width: int = 3) -> np.ndarray:
     """Mask (H, W) bool of the pixels under strokes of `width` [px]."""
-    import cv2
-
     mask = np.zeros(shape, np.uint8)
     for stroke in strokes:
         points = np.round((np.asarray(stroke, np.float64) - 0.5) * 16).astype(np.int32)  # 4 bits of fraction

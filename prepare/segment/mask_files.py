@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import cv2
 import numpy as np
 
 from assets.file_access import make_folder, part_beside, read_json, reason_of
@@ -132,8 +133,6 @@ def read_masks(folder: str | Path, views: Sequence[View]) -> Masks:
 
 def write_masks(folder: str | Path, views: Sequence[View], masks: Masks) -> None:
     """Write a folder of masks, completely or not at all, replacing earlier masks. Raises BadInput."""
-    import cv2
-
     folder = Path(folder)
     _check_stems(folder, views)
     check_masks_folder(folder)
@@ -229,8 +228,6 @@ def overlay(pixels: np.ndarray, ids: np.ndarray | None, colors: np.ndarray) -> n
     """A photograph (H, W, 3) uint8 with its objects tinted and outlined in their colours (K, 3), the rest darker."""
     if ids is None or not ids.any():
         return pixels
-    import cv2
-
     paint = np.concatenate([np.zeros((1, 3), np.uint8), colors])
     out = np.where((ids > 0)[..., None], (1 - TINT) * pixels + TINT * paint[ids], 0.75 * pixels).astype(np.uint8)
     width = max(1, round(max(ids.shape) / 400))
@@ -243,8 +240,6 @@ def overlay(pixels: np.ndarray, ids: np.ndarray | None, colors: np.ndarray) -> n
 
 def overlays(views: Sequence[View], masks: Masks) -> dict[str, np.ndarray]:
     """The overlay of each view, TILE pixels wide, by the photograph's name. Raises BadInput."""
-    import cv2
-
     tiles = {}
     for view, ids in zip(views, masks.ids, strict=True):
         picture = overlay(read_image(view.image)[0], ids, masks.colors)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 
 from assets.gaussians import Gaussians
@@ -48,8 +49,6 @@ VOTERS, VOTE_REACH = 10, 0.02  # nearest views that vote, and how far around the
 
 def grab_cut(picture: np.ndarray, likely: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
     """Cut out an object (H, W) bool by GrabCut (Rother et al. 2004): sure pixels stay, colours decide on the others."""
-    import cv2
-
     mask = np.where(likely > 0.5, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     mask[inside], mask[outside] = cv2.GC_FGD, cv2.GC_BGD
     there = [(mask == a) | (mask == b) for a, b in ((cv2.GC_FGD, cv2.GC_PR_FGD), (cv2.GC_BGD, cv2.GC_PR_BGD))]
@@ -63,8 +62,6 @@ def grab_cut(picture: np.ndarray, likely: np.ndarray, inside: np.ndarray, outsid
 
 def border_band(labels: np.ndarray, width: int) -> np.ndarray:
     """Mask (H, W) bool of the pixels within `width` of a border between labels (H, W) uint8."""
-    import cv2
-
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * width + 1,) * 2)
     return cv2.dilate(labels, kernel) != cv2.erode(labels, kernel)
 
@@ -76,8 +73,6 @@ def cut_objects(picture: np.ndarray, likely: np.ndarray, unsure: np.ndarray, rea
     unsure  (H, W) bool, pixels in which the colours decide
     reach   [px] by which an object may grow, except in disputed pixels
     """
-    import cv2
-
     first = likely.argmax(axis=2)
     found = np.zeros(likely.shape, np.float32)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
@@ -100,8 +95,6 @@ def cut_objects(picture: np.ndarray, likely: np.ndarray, unsure: np.ndarray, rea
 
 def _with_core(inside: np.ndarray, core: np.ndarray) -> np.ndarray:
     """The parts of a mask that touch a core, with small holes filled."""
-    import cv2
-
     count, part = cv2.connectedComponents(inside.astype(np.uint8), connectivity=8)
     size = np.bincount(part.ravel(), minlength=count)
     touched = np.bincount(part[core & inside], minlength=count)
@@ -206,8 +199,6 @@ class MarkPropagation:
 
     def voted(self, k: int, ids: Sequence[np.ndarray]) -> np.ndarray:
         """Probability (H, W, K + 1) of the labels in view `k` by a vote of its mask and those of its neighbours."""
-        import cv2
-
         depth, own, camera = self.depths[k], ids[k], self.cameras[k]
         labels = len(self.names) + 1
         side = 2 * round(VOTE_REACH * float(np.hypot(*depth.shape))) + 1
@@ -306,8 +297,6 @@ class MarkPropagation:
 
     def _cut_in_box(self, k: int, box: np.ndarray) -> np.ndarray:
         """Sure pixels (H, W) bool of an object in a box: GrabCut, away from the border."""
-        import cv2
-
         picture = self.photographs[k].pixels
         inside = grab_cut(picture, box.astype(float), np.zeros_like(box), ~box)
         side = max(1, round(0.1 * np.sqrt(box.sum())))
@@ -356,8 +345,6 @@ class MarkPropagation:
 
     def _as_taken(self, k: int, ids: np.ndarray) -> np.ndarray:
         """Ids of an undistorted picture in the photograph's own size and lens."""
-        import cv2
-
         view = self.capture.views[k]
         width, height = image_size(view.image)
         if ids.shape != (height, width):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_matrix, csr_matrix, diags
@@ -95,8 +96,6 @@ class SurfaceCloud:
 
 def silhouettes(depth: np.ndarray) -> np.ndarray:
     """Mask (H, W) bool of pixels beside a jump of depth, or without depth."""
-    import cv2
-
     low = cv2.erode(depth, np.ones((3, 3), np.uint8))
     return (low <= 0) | (cv2.dilate(depth, np.ones((3, 3), np.uint8)) > JUMP * low)
 

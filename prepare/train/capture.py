@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from assets.orientation import up_of_cameras
@@ -65,8 +66,6 @@ class Lens:
         """fx, fy, cx, cy of the undistorted image: those of the lens, but a fisheye's, which keeps its middle half."""
         if not self.fisheye:
             return self.fx, self.fy, self.cx, self.cy
-        import cv2
-
         size = (self.width, self.height)
         k = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
             self.matrix(), self._coefficients(), size, np.eye(3), balance=0.0
@@ -80,8 +79,6 @@ class Lens:
         """
         if not self.distorts:
             return pixels, mask
-        import cv2
-
         along, down = self._photographed_places()
         out = cv2.remap(pixels, along, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         # a pixel counts if all that it is interpolated from was photographed
@@ -92,16 +89,12 @@ class Lens:
         """Labels (H, W) uint8 of the photograph's pixels as a pinhole camera sees them; 0 outside the photograph."""
         if not self.distorts:
             return labels
-        import cv2
-
         return cv2.remap(labels, *self._photographed_places(), cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
 
     def distort_labels(self, labels: np.ndarray) -> np.ndarray:
         """Labels (H, W) uint8 of the pinhole camera's pixels as the lens sees them; 0 outside the pinhole image."""
         if not self.distorts:
             return labels
-        import cv2
-
         down, along = np.mgrid[: self.height, : self.width]
         places = self.undistort_points(np.stack([along, down], -1).reshape(-1, 2) + 0.5) - 0.5
         places = np.where(np.isfinite(places), places, -2.0).clip(-2.0, SIDE_MAX + 2.0).astype(np.float32)
@@ -112,8 +105,6 @@ class Lens:
         """Places (N, 2) [px] in the pinhole camera's image of places in the photograph."""
         if not self.distorts:
             return points
-        import cv2
-
         fx, fy, cx, cy = self.pinhole()
         new = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         old = np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
@@ -123,8 +114,6 @@ class Lens:
 
     def _photographed_places(self) -> tuple[np.ndarray, np.ndarray]:
         """Places in the photograph of the pinhole camera's pixels, along and down, (H, W) float32 each."""
-        import cv2
-
         fx, fy, cx, cy = self.pinhole()
         new = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
         size, k = (self.width, self.height), self._coefficients()

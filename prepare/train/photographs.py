@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from assets.images import decoded, read_image_header
@@ -50,8 +51,6 @@ def reduced(photograph: Photograph, divisor: int) -> Photograph:
     """The photograph with width and height divided; a pixel counts if all pixels that it averages did."""
     if divisor == 1:
         return photograph
-    import cv2
-
     pixels, mask, camera, objects = photograph
     width, height = camera.width, camera.height
     size = (max(1, width // divisor), max(1, height // divisor))
@@ -128,8 +127,6 @@ def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
 
 def _decode(path: Path) -> np.ndarray:
     """Pixels as stored, BGR or BGRA or grey, uint8 or uint16."""
-    import cv2
-
     try:
         if path.stat().st_size > FILE_MAX:
             raise BadInput(f"{path}: larger than {FILE_MAX >> 20} MiB")

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from assets.file_access import check_space, reason_of
@@ -94,8 +95,6 @@ def sharpest_frames(video: Path, folder: Path, count: int = FRAMES) -> int:
 
     Sharpness is the variance of the Laplacian. Raises BadInput.
     """
-    import cv2
-
     capture = cv2.VideoCapture(str(video))
     total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() else 0
     if total < 3:

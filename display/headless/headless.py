@@ -40,17 +40,19 @@ class Headless(Display):
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """The frames. The world may have begun with a state, in which time has passed."""
-        line, begin = ProgressLine(), round(world.time / FRAME_DT)
+        line, begin = None, round(world.time / FRAME_DT)
         if world.wanted_view is not None:
             self._look(*world.wanted_view)
         try:
             for index in range(1, self.count + 1):
                 hands = world.scripted_hands((begin + index) * FRAME_DT) if self._scripted else []
                 yield Frame(FRAME_DT, index * FRAME_DT, self.cameras, hands)
-                rate = index / (perf_counter() - line.begin)
+                line = line or ProgressLine()  # from the second frame on: the first compiles
+                rate = (index - 1) / max(perf_counter() - line.begin, 1e-3)
                 line.show(f"frame {index} of {self.count}, {rate:.1f} a second")
         finally:
-            line.end()
+            if line is not None:
+                line.end()
 
     def present(self, world: WorldView) -> None:
         """Mark the end of the frame, from the second on as the device ends it: the first compiles."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import taichi as ti
 
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
@@ -82,7 +83,8 @@ def test_a_resized_picture_equals_one_of_that_size_and_costs_no_kernels_but_its_
         np.testing.assert_array_equal(pixels(small, 700, 500), expected[700, 500])
         splats.visibility.fill(1.0)
         np.testing.assert_array_equal(pixels(large, 40, 30), expected[40, 30])
-    assert set(names) == {"TilePass._blend_to_ndarray", "TilePass._bin"}
+    more_tiles = {"TilePass._blend_to_ndarray", "TilePass._bin"} if ti.cfg.arch != ti.cuda else set()  # they all fit
+    assert set(names) == more_tiles
 
 
 def test_what_stands_still_is_projected_once_a_view_and_shaded_in_each_picture(ti_cpu):
@@ -125,6 +127,8 @@ def test_tiles_in_which_nothing_changes_keep_their_pixels(ti_cpu, sort):
     from render.renderer import Renderer
     from render.splats import Splats
 
+    if ti.cfg.arch == ti.cuda:
+        pytest.skip("a GPU draws all tiles")
     rng, splats = np.random.default_rng(4), Splats(cloud(np.random.default_rng(3), 60))
     keeping, whole = (Renderer(splats, 96, 64, sort=sort, still=n) for n in (20, 0))
     camera = perspective(96, 64, 1.0, look_at((0, 0, -2), (0, 0, 0)))

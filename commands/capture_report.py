@@ -92,7 +92,7 @@ def played(out: Path, rest: Asset, eye: tuple) -> Section:
     away = np.linalg.norm(np.subtract(eye, place.drop_point))
     free = f"A body of yours falls {away:.1f} m from the eye, "
     if on == "nothing":
-        free += "where the photographs look: no free, level place was found in view of the start."
+        free += "where the photographs look: no level place was captured."
     else:
         kind = on if on == "floor" else f"{on} at a height of {100 * (place.drop_point[1] - place.floor_height):.0f} cm"
         free += f"onto the {kind}, with {100 * place.clear_radius:.0f} cm free around it."

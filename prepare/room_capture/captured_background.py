@@ -19,7 +19,6 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import (
     BELOW_FLOOR,
-    Surface,
     distance_grids,
     fine_boxes,
     level_surface,
@@ -28,26 +27,19 @@ from prepare.environment.environment_pipeline import (
 )
 from prepare.environment.support_planes import (
     CELL,
-    DROP_SPACE,
     EYE_HEIGHT,
     SupportPlane,
     cell_centres,
-    clearance,
+    drop_point,
     support_planes,
-    unobstructed,
 )
-from prepare.environment.surfels import VoxelGrid
 from prepare.progress import Progress, no_progress
 
 VIEWERS = 40  # cameras from which surfaces are oriented; more add nothing
 AROUND_CAMERAS = 0.6  # [m] the room extends at least this far beyond the outermost camera
 SHOWN = 1.0, 99.0  # percentiles of what the pictures show that bound the room
 REACH = 4.0  # [m] the room extends at most this far beyond the cameras; the rest is a backdrop
-NEAR_TARGET = 0.5  # [1/m] penalty for the distance of a free place from what the cameras look at
-AMPLE = 0.3  # [m] radius from which more free space counts no further
-MIN_FREE = 0.05  # [m] least radius of a free place
-OVER = 0.08  # [m] height above a free place that the player must see
-TRIED = 600  # best free places that are tested for visibility
+UNKNOWN_CLEARANCE = 0.05  # [m] radius of free space where no level plane was seen
 FOV_RANGE = 0.6, 1.1  # [rad] of the player's view
 
 
@@ -132,11 +124,14 @@ def captured_environment(
     surface = orient_surface(gaussians, low, high, cell, places[chosen])
     progress("planes", 0.0)
     floor, planes = seen_planes(level_surface(surface, low, high), view)
-    drop, clear, on = free_place(([floor] if view.floor_seen else []) + planes, surface, view)
+    known, k = [floor, *planes] if view.floor_seen else planes, view.photographer()
+    if known:
+        on, drop, clear = drop_point(known, surface.surfels.points)
+    else:  # over what the photographer looks at
+        x, y, z = view.targets[k]
+        on, drop, clear = None, np.array([x, max(y, view.floor), z]), UNKNOWN_CLEARANCE
     progress("distance", 0.0)
-    known = [floor, *planes] if view.floor_seen else planes
     coarse, fine = distance_grids(surface, known, fine_boxes(surface, known, on, drop, near), progress)
-    k = view.photographer()
     environment = Environment(
         view.floor,
         tuple(map(float, drop)),
@@ -175,35 +170,6 @@ def seen_planes(level: tuple[np.ndarray, np.ndarray], view: RoomView) -> tuple[S
     except BadInput:  # the floor was seen in few places
         return assumed, []
     return floor if view.floor_seen else assumed, planes
-
-
-def free_place(
-    planes: Sequence[SupportPlane], surface: Surface, view: RoomView
-) -> tuple[np.ndarray, float, SupportPlane | None]:
-    """A place in view of the player to drop a body: the point (3,), the free radius [m] there, and the plane.
-
-    Free places on planes that the player can see are ranked by their radius and by their distance from the point that
-    the player looks at. If there is none, a place above that point.
-    """
-    k = view.photographer()
-    eye, target, candidates = view.places[k], view.targets[k], []
-    for plane in planes:
-        radius = clearance(plane, surface.surfels.points, DROP_SPACE)
-        at = np.insert(cell_centres(plane), 1, plane.height, axis=2)[radius >= MIN_FREE]
-        radius = radius[radius >= MIN_FREE]
-        score = np.minimum(radius, AMPLE) / AMPLE - NEAR_TARGET * np.linalg.norm(at - target, axis=1)
-        candidates += [(score[i], at[i], float(radius[i]), plane) for i in np.argsort(-score)[:TRIED]]
-    for _, at, radius, plane in sorted(candidates, key=lambda c: -c[0])[:TRIED]:
-        over = at + [0.0, max(OVER, 2.5 * surface.spacing), 0.0]
-        if is_open(surface.space, over) and unobstructed(surface.voxels, eye, over):
-            return at, radius, plane
-    return np.array([target[0], max(target[1], view.floor), target[2]]), MIN_FREE, None
-
-
-def is_open(space: VoxelGrid, point: np.ndarray) -> bool:
-    """True if a point (3,) [m] lies in the open space."""
-    i = np.floor((point - space.origin) / space.spacing).astype(int)
-    return bool((i >= 0).all() and (i < space.occupied.shape).all() and space.occupied[tuple(i)])
 
 
 def view_of(view: RoomView) -> tuple[tuple, tuple, float]:

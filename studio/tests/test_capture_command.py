@@ -121,7 +121,7 @@ def test_the_report_tells_how_to_play_what_is_free_and_what_each_stage_took(tmp_
     assert told("table").startswith(
         "A body of yours falls 1.0 m from the eye, onto the table at a height of 60 cm, with"
     )
-    assert "onto the floor, with 18 cm" in told("floor") and "no free, level place" in told("nothing")
+    assert "onto the floor, with 18 cm" in told("floor") and "no level place was captured" in told("nothing")
     (tmp_path / "walk.mp4").touch()
     stages = (*stages_before(tmp_path / "walk.mp4"), *STAGES)
     page = html_page("attic", "", [spent(dict.fromkeys(stages, 2.0))])

@@ -10,6 +10,7 @@ from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from display.protocol import Display, Frame, WorldView
 from display.timing import ProgressLine
+from display.user_commands import SetInteraction
 from scenes.scene import Scene
 
 FRAME_DT = 1 / 60  # [s]
@@ -45,8 +46,10 @@ class Headless(Display):
             self._look(*world.wanted_view)
         try:
             for index in range(1, self.count + 1):
+                mode = world.interaction
                 hands = world.scripted_hands((begin + index) * FRAME_DT) if self._scripted else []
-                yield Frame(FRAME_DT, index * FRAME_DT, self.cameras, hands)
+                commands = [] if world.interaction == mode else [SetInteraction(world.interaction)]  # for a recording
+                yield Frame(FRAME_DT, index * FRAME_DT, self.cameras, hands, commands)
                 line = line or ProgressLine()  # from the second frame on: the first compiles
                 rate = (index - 1) / max(perf_counter() - line.begin, 1e-3)
                 line.show(f"frame {index} of {self.count}, {rate:.1f} a second")

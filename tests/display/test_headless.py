@@ -18,6 +18,8 @@ from display.headless.headless import EYE_DISTANCE, Headless
 from display.headless.video import FilmWriter, Video
 from display.picture import pixels_of, side_by_side
 from display.protocol import Frame
+from display.user_commands import SetInteraction
+from tests.support.fake_view import FakeView
 from tests.support.fake_world import FakeWorld, fake_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,6 +73,17 @@ def test_frames_come_in_the_promised_number_at_sixty_a_second(ti_cpu):
     assert world.score == 1
     cameras = {f.cameras[0].world_to_camera.tobytes() for f in frames}
     assert len(cameras) == 1 and frames[0].cameras[0].position.tolist() == [0, 0, 3]
+
+
+def test_a_mode_that_the_script_changes_is_a_command_that_a_recording_keeps():
+    class Scripted(FakeView):
+        def scripted_hands(self, time):
+            self.interaction = "physics" if time < 0.04 else "transform"
+            return []
+
+    world = Scripted(time=0.0, wanted_view=None, interaction="physics")
+    frames = list(Headless(fake_scene(), width=8, height=8, frames=4).frames(world))
+    assert [f.commands for f in frames] == [[], [], [SetInteraction("transform")], []]
 
 
 def test_the_film_plays_and_shows_every_second_picture(ti_cpu, tmp_path):

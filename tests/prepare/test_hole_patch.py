@@ -6,6 +6,7 @@ import pytest
 from assets.gaussians import Gaussians
 from prepare.inpaint.hole_patch import seed_patch
 from prepare.inpaint.support_surface import SupportSurface, SurfaceTexture
+from tests.support.samples import discs
 
 
 def seeds(background_spacing: float, texels: int = 96) -> Gaussians:
@@ -15,10 +16,7 @@ def seeds(background_spacing: float, texels: int = 96) -> Gaussians:
     color, plane = np.full((texels, texels, 3), 0.5, np.float32), SupportSurface(np.zeros(3), np.eye(3), 0.001)
     texture = SurfaceTexture(plane, np.full(2, -0.5), 1.0 / texels, color, ~hole, hole)
     x, y = (a.ravel() for a in np.mgrid[-0.5:0.5:background_spacing, -0.5:0.5:background_spacing])
-    n, quats = len(x), np.tile([1.0, 0.0, 0.0, 0.0], (len(x), 1))
-    points = np.stack([x, y, 0.0 * x], axis=1)
-    whole = Gaussians.of(points, quats, np.full((n, 3), -5.0), np.full(n, 4.0), np.zeros((n, 1, 3)))
-    return seed_patch(texture, whole, 0)
+    return seed_patch(texture, discs(np.stack([x, y, 0.0 * x], axis=1), 0.007), 0)
 
 
 @pytest.mark.parametrize(("spacing", "texels", "least", "most"), [(0.3, 96, 350, 800), (0.0015, 400, 15_000, 25_000)])

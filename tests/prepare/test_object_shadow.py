@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from assets.gaussians import Gaussians
 from prepare.inpaint.hole_views import Surroundings
 from prepare.inpaint.object_shadow import DARKEST, ObjectShadow, find_shadow, fit_light, half_sphere, without_shadow
 from prepare.inpaint.support_surface import SupportSurface, SurfaceTexture, goes_on
+from tests.support.samples import discs
 
 N, J = 600, 24
 
@@ -130,9 +130,7 @@ def test_the_light_of_a_shadow_map_is_nearly_parallel(plate):
 def test_a_shadow_is_taken_from_the_surroundings_only():
     """Four radii away the colours change; ten radii away they stay bit for bit."""
     x, y = (a.ravel() for a in np.mgrid[-12:12:49j, -12:12:49j])
-    n, directions = len(x), half_sphere(J)
-    points, quats = np.stack([x, y, 0.0 * x], axis=1), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    floor = Gaussians.of(points, quats, np.full((n, 3), -3.0), np.full(n, 4.0), np.zeros((n, 1, 3)))
+    floor, directions = discs(np.stack([x, y, 0.0 * x], axis=1), 0.05), half_sphere(J)
     shadow = ObjectShadow(directions, np.full(J, 0.5) / directions[:, 2].sum(), Screen(np.zeros(J)), None, 0.0)
     view = SimpleNamespace(camera=SimpleNamespace(position=np.array([0.0, 3.0, 5.0])))
     lit, away = without_shadow(floor, shadow, Surroundings(np.zeros(3), 1.0), [view]).sh, np.hypot(x, y)

@@ -26,13 +26,7 @@ from prepare.room_capture.objects import base_of, object_files, seated, support_
 from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, inpainted, without_objects
 from prepare.room_capture.stages import Stages, source_digest
 from sim.contact.contact_samples import skin_depth, surface_points
-
-
-def discs(points, sigma=0.02) -> Gaussians:
-    """Opaque round Gaussians at points (N, 3)."""
-    n = len(points)
-    quats = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    return Gaussians.of(points, quats, np.full((n, 3), np.log(sigma)), np.full(n, 4.0), np.zeros((n, 1, 3)))
+from tests.support.samples import discs
 
 
 def plane(axis: int, at: float) -> Gaussians:

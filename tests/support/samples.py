@@ -8,6 +8,7 @@ import pytest
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
+from core.spherical_harmonics import C0
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
@@ -22,6 +23,14 @@ def some_gaussians(n: int = 30, degree: int = 3, seed: int = 0) -> Gaussians:
         rng.normal(size=n),
         rng.normal(0, 0.3, size=(n, SH_COUNTS[degree], 3)),
     )
+
+
+def discs(points, scales=0.02, colors=0.5) -> Gaussians:
+    """Opaque Gaussians at points (N, 3) along the axes; scales [m] and colours 0..1 as they broadcast to (N, 3)."""
+    n = len(points)
+    quats, log_scales = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.log(np.broadcast_to(scales, (n, 3)))
+    sh = (np.broadcast_to(colors, (n, 3))[:, None] - 0.5) / C0
+    return Gaussians.of(points, quats, log_scales, np.full(n, 4.0), sh)
 
 
 def damaged(good: bytes, trials: int, seed: int = 0):

@@ -47,11 +47,8 @@ class Picture:
         if ti.static(self.with_depth):
             d = 1.0
             if alpha >= MIN_SURFACE_ALPHA:
-                d = (
-                    DEPTH_FAR
-                    / (DEPTH_FAR - DEPTH_NEAR)
-                    * (1.0 - DEPTH_NEAR * alpha / ti.max(depth, DEPTH_NEAR * alpha))
-                )
+                d = DEPTH_FAR / (DEPTH_FAR - DEPTH_NEAR)
+                d *= 1.0 - DEPTH_NEAR * alpha / ti.max(depth, DEPTH_NEAR * alpha)
                 d = ti.min(ti.max(d, 0.0), 1.0)
             packed = ti.cast(d * 255.0 + 0.5, ti.u32) << ti.u32(24)
         for k in ti.static(range(3)):

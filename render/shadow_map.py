@@ -123,10 +123,8 @@ class ShadowMap:
         self._distance = max(float(np.linalg.norm(away)), 1e-6)
         self._radius = self.splats.radius_about(light.target)
         if light.kind == "directional":
-            away, self._distance = (
-                away * (DIRECTIONAL_DISTANCE * self._radius / self._distance),
-                DIRECTIONAL_DISTANCE * self._radius,
-            )
+            away *= DIRECTIONAL_DISTANCE * self._radius / self._distance
+            self._distance = DIRECTIONAL_DISTANCE * self._radius
         self._eye = np.asarray(light.target) + away
         self._static_is_drawn = False
 

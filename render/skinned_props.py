@@ -106,10 +106,7 @@ class SkinnedProps:
                 light = ti.Vector([poses[self.parts, 0], poses[self.parts, 1], poses[self.parts, 2]])
                 self.splats.sh[g, 0] = (self.base[k] * self._brightness(A, self.normal[k], mean, light) - 0.5) / C0
             else:
-                self.splats.mean[g], self.splats.opacity[g] = (
-                    ti.Vector([HIDDEN_DISTANCE, HIDDEN_DISTANCE, HIDDEN_DISTANCE]),
-                    0.0,
-                )
+                self.splats.mean[g], self.splats.opacity[g] = ti.Vector([HIDDEN_DISTANCE] * 3), 0.0
 
     @ti.func
     def _brightness(self, A, n0, mean, light):

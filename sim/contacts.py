@@ -17,7 +17,7 @@ import taichi as ti
 from core.vocabulary import Hand
 from sim.contact.broad_phase import BodyBounds, SelfCollision, SweptBounds, can_fold
 from sim.contact.constraints import NO_DISTANCE, NOT_CHECKED, VALID, ContactConstraints, ContactForces
-from sim.contact.contact_samples import ContactSamples, spacing_for
+from sim.contact.contact_samples import CapsuleSamples, ContactSamples, QueryPoints, spacing_for
 from sim.contact.finger_capsules import FingerCapsules
 from sim.contact.narrow_phase import DeformableContact, StaticContact
 from sim.contact.static_shapes import MAX_SHAPES, Shape, StaticShapes
@@ -51,10 +51,10 @@ class Contacts(Constraint):
         blocks,
         grasps: Grasps,
         *,
-        self_contact: bool = True,
-        capacity: Capacity = Capacity(),
-        rigid_bodies: RigidBodies | None = None,
-        fingers: bool = False,
+        self_contact: bool,
+        capacity: Capacity,
+        rigid_bodies: RigidBodies | None,
+        fingers: bool,
     ):
         """Allocate for the bodies of `first` and those that `capacity` lets come; `blocks` of sim/reductions.py."""
         self.state, self.hands, self.rigid_bodies = state, grasps, rigid_bodies
@@ -69,9 +69,8 @@ class Contacts(Constraint):
         capsules = FingerCapsules(state, self.bounds, grasps.count) if fingers else None
         self.begin_rigid = self.samples.capacity
         begin = self.begin_rigid + (slot_count(self.samples) if self.coupled else 0)
-        self.deformable = DeformableContact(
-            state, first, self.samples, shapes, self.bounds, self.self_collision, begin, capacity, capsules
-        )
+        query_points = QueryPoints(self.samples, CapsuleSamples(shapes, self.samples.spacing), self.bounds, capsules)
+        self.deformable = DeformableContact(first, query_points, self.self_collision, begin, capacity)
         on_triangles = capacity.grows or self.samples.triangle_points(first) > 0
         self.anything = bool(shapes) or self.deformable.needed or self.coupled or fingers
         self.has_pairs = self.deformable.needed or self.coupled or fingers or (bool(shapes) and on_triangles)
@@ -83,18 +82,14 @@ class Contacts(Constraint):
         if self.coupled:
             self.rigid_shapes = RigidShapes(rigid_bodies, self.samples, self.deformable.grids)
             self.rigid_search = RigidBroadPhase(
-                state, rigid_bodies, self.samples, self.static_shapes, self.rigid_shapes, self.bounds,
-                self.constraints, self.begin_rigid,
-            )  # fmt: skip
+                self.rigid_shapes, self.static_shapes, self.bounds, self.constraints, self.begin_rigid
+            )
             self.rigid = RigidContacts(self.rigid_search)
         self.has_fingers = fingers
         if fingers:
-            self.fingers = FingerContact(
-                capsules, self.bounds, self.constraints, self.begin_fingers,
-                rigid_bodies=rigid_bodies, shapes=self.rigid_shapes,
-            )  # fmt: skip
+            self.fingers = FingerContact(capsules, self.constraints, self.begin_fingers, self.rigid_shapes)
         self.forces = ContactForces(state, self.constraints)
-        self.static = StaticContact(state, self.samples, self.static_shapes, self.bounds, self.constraints, self.forces)
+        self.static = StaticContact(self.samples, self.static_shapes, self.bounds, self.constraints, self.forces)
         self.max_groups = GROUPS if self.coupled else 0  # constraints between rigid bodies alone are solved in groups
         later = size if self.soft or fingers else 0
         self.phase_sizes = (size,) + (later,) * self.constraints.passes

@@ -145,7 +145,7 @@ class ContactSamples:
     host_ids, host_weights: the same in NumPy
     """
 
-    def __init__(self, state: State, first: Model, spacing: float, capacity: Capacity = Capacity()):
+    def __init__(self, state: State, first: Model, spacing: float, capacity: Capacity):
         self.state, self.spacing = state, spacing
         count = sum(len(p.ids) for p in self._points(first))
         inner = sum(len(p.shape.once(inner_of).ids) for p in first.bodies if collapses(p))
@@ -209,8 +209,8 @@ class CapsuleSamples:
     Per capsule: low, high vec3 the box of its axis, capsule_radius f32 [m].
     """
 
-    def __init__(self, capsules: list[Capsule], spacing: float):
-        thin = [c for c in capsules if c.radius < THIN_RADIUS * spacing][:MAX_CAPSULES]
+    def __init__(self, shapes: list[Shape], spacing: float):
+        thin = [s for s in shapes if isinstance(s, Capsule) and s.radius < THIN_RADIUS * spacing][:MAX_CAPSULES]
         samples, low, high = [], np.zeros((MAX_CAPSULES, 3)), np.zeros((MAX_CAPSULES, 3))
         for k, c in enumerate(thin):
             a, b = np.asarray(c.a, np.float64), np.asarray(c.b, np.float64)
@@ -222,9 +222,8 @@ class CapsuleSamples:
         n, group = round_up_capacity(self.size), FieldGroup()
         self.position, self.radius, self.friction = group.vector(n), group.scalar(n), group.scalar(n)
         self.group = group.scalar(n, dtype=ti.i32)
-        self.low, self.high, self.capsule_radius = (
-            group.vector(MAX_CAPSULES), group.vector(MAX_CAPSULES), group.scalar(MAX_CAPSULES),
-        )  # fmt: skip
+        self.low, self.high = group.vector(MAX_CAPSULES), group.vector(MAX_CAPSULES)
+        self.capsule_radius = group.scalar(MAX_CAPSULES)
         self.count, self.capsule_count = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
         self._group = group
         group.build()
@@ -245,14 +244,9 @@ class QueryPoints:
     """
 
     def __init__(
-        self,
-        state: State,
-        samples: ContactSamples,
-        capsules: CapsuleSamples,
-        bounds: BodyBounds,
-        fingers: FingerCapsules | None,
+        self, samples: ContactSamples, capsules: CapsuleSamples, bounds: BodyBounds, fingers: FingerCapsules | None
     ):
-        self.state, self.samples, self.capsules, self.bounds = state, samples, capsules, bounds
+        self.state, self.samples, self.capsules, self.bounds = samples.state, samples, capsules, bounds
         self.fingers, self.has_fingers = fingers, fingers is not None
         self.first_finger = samples.capacity + capsules.size
         self.finger_groups = fingers.capsules if self.has_fingers else 0
@@ -342,12 +336,8 @@ class QueryPoints:
         """
         low, high, v_min, v_max = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         if g < MAX_BODIES:
-            low, high, v_min, v_max = (
-                self.bounds.low[g],
-                self.bounds.high[g],
-                self.bounds.v_min[g],
-                self.bounds.v_max[g],
-            )
+            low, high = self.bounds.low[g], self.bounds.high[g]
+            v_min, v_max = self.bounds.v_min[g], self.bounds.v_max[g]
         elif g >= STATIC_GROUPS:
             if ti.static(self.has_fingers):
                 low, high = self.fingers.low[g - STATIC_GROUPS], self.fingers.high[g - STATIC_GROUPS]

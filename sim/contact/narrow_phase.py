@@ -5,14 +5,12 @@ from taichi.math import vec3
 
 from core.distance_grid import DistanceGrid
 from core.fields import FieldGroup
-from core.vocabulary import Capsule
-from sim.contact.broad_phase import BodyBounds, SelfCollision
+from sim.contact.broad_phase import SelfCollision
 from sim.contact.constraints import ContactConstraints, ContactForces
-from sim.contact.contact_samples import CapsuleSamples, ContactSamples
-from sim.contact.finger_capsules import FingerCapsules
+from sim.contact.contact_samples import ContactSamples, QueryPoints
 from sim.contact.nearest_tet import NearestTets, deformed_gradient, rest_coordinates
 from sim.contact.response import CONTACT_STIFFNESS, contact_impulse, isotropic_contact_impulse, min_normal_motion
-from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, Shape, grid_of, known
+from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known
 from sim.model import MAX_BODIES, Capacity, Model, fit
 from sim.state import State
 
@@ -36,8 +34,8 @@ class StaticContact:
     vec3[P,8], friction vec2[P,8] = (mu_s, mu_k). The sweeps read these: they are the same in all of them.
     """
 
-    def __init__(self, state: State, samples, shapes, bounds, constraints: ContactConstraints, forces: ContactForces):
-        self.state, self.samples, self.shapes, self.bounds = state, samples, shapes, bounds
+    def __init__(self, samples: ContactSamples, shapes, bounds, constraints: ContactConstraints, forces: ContactForces):
+        self.state, self.samples, self.shapes, self.bounds = samples.state, samples, shapes, bounds
         self.constraints, self.forces = constraints, forces
         group = self._group = FieldGroup()
         self.near = group.scalar(samples.capacity, MAX_NEAR, dtype=ti.i32)
@@ -194,28 +192,19 @@ class DeformableContact:
     """
 
     def __init__(
-        self,
-        state: State,
-        first: Model,
-        samples: ContactSamples,
-        shapes: list[Shape],
-        bounds: BodyBounds,
-        self_collision: SelfCollision | None,
-        begin: int,
-        capacity: Capacity = Capacity(),
-        fingers: FingerCapsules | None = None,
+        self, first: Model, points: QueryPoints, self_collision: SelfCollision | None, begin: int, capacity: Capacity
     ):
+        """Begin: the first constraint."""
         self.self_collision, self.self_collides = self_collision, self_collision is not None
-        self.state, self.samples, self.bounds, self.begin = state, samples, bounds, begin
-        self.fingers, self.has_fingers = fingers, fingers is not None
-        self.capsules = CapsuleSamples([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
+        self.state, self.samples, self.bounds, self.begin = points.state, points.samples, points.bounds, begin
+        self.fingers, self.has_fingers, self.capsules = points.fingers, points.has_fingers, points.capsules
         self.rigid = first.rigid or capacity.rigid
         several = capacity.sized("bodies", first.sizes.bodies) > 1
         partners = several or self.capsules.size > 0 or self.self_collides or self.has_fingers
         self.needed = partners and (first.soft or capacity.grows)  # rigid bodies alone have no tets to be in
         self.grids = DistanceGrids(self._grids(first), capacity)
-        self.hosts = NearestTets(state, samples, self.capsules, bounds, self_collision, fingers)
-        self.normals = VertexNormals(state)
+        self.hosts = NearestTets(points, self_collision)
+        self.normals = VertexNormals(self.state)
 
     def _grids(self, model: Model) -> list[DistanceGrid]:
         return [s.once(grid_of) for s in model.shapes] if self.needed or self.rigid else []

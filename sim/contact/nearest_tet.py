@@ -14,12 +14,10 @@ from taichi.math import vec3
 from core.fields import FieldGroup, Upload
 from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vector_from_lane, vote
 from core.morton import morton_order
-from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds, PointHash, SelfCollision, outside_box
-from sim.contact.contact_samples import CapsuleSamples, ContactSamples, QueryPoints
-from sim.contact.finger_capsules import FingerCapsules
+from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, SelfCollision, outside_box
+from sim.contact.contact_samples import QueryPoints
 from sim.contact.static_shapes import UNKNOWN_DISTANCE
 from sim.model import MAX_BODIES, Model, RestShape, stacked
-from sim.state import State
 
 MIN_VOLUME_RATIO = 1e-3  # of the rest volume; of a tet crushed flatter, normals are rounding, and soon overflow
 MIN_WEIGHT = -0.01  # barycentric; below it a point moves on to the neighbouring tet, but not to and fro on a face
@@ -169,19 +167,11 @@ class NearestTets:
     max_approach f32[B,G] [m]: how far body b and group g may approach until the next search, 0 if they cannot meet
     """
 
-    def __init__(
-        self,
-        state: State,
-        samples: ContactSamples,
-        capsules: CapsuleSamples,
-        bounds: BodyBounds,
-        self_collision: SelfCollision | None,
-        fingers: FingerCapsules | None = None,
-    ):
+    def __init__(self, points: QueryPoints, self_collision: SelfCollision | None):
         self.self_collision, self.self_collides = self_collision, self_collision is not None
-        self.state, self.samples, self.bounds = state, samples, bounds
-        self.points = QueryPoints(state, samples, capsules, bounds, fingers)
-        self.fingers, self.has_fingers = fingers, fingers is not None
+        self.points, self.state, self.samples, self.bounds = points, points.state, points.samples, points.bounds
+        self.fingers, self.has_fingers = points.fingers, points.has_fingers
+        state = self.state
         self.lanes = lane_count()
         self.visitors = VISITORS if self.lanes > 1 else 1
         self.hash = PointHash(self.points.size)
@@ -390,11 +380,8 @@ class NearestTets:
         result, those = found, vote(near, lanes)
         while those != 0:
             k = first_of(those)
-            y, y_rest, y_v = (
-                vector_from_lane(x, k, lanes),
-                vector_from_lane(x_rest, k, lanes),
-                vector_from_lane(x_v, k, lanes),
-            )
+            y, y_rest = vector_from_lane(x, k, lanes), vector_from_lane(x_rest, k, lanes)
+            y_v = vector_from_lane(x_v, k, lanes)
             group = int_from_lane(g, k, lanes)
             if searches and not result and outside_box(tet.low, tet.high, y) <= 0.0:
                 result = self.max_approach[tet.body, group] > 0.0

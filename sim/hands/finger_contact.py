@@ -16,12 +16,12 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup
 from core.vocabulary import Hand
-from sim.contact.broad_phase import BodyBounds, outside_box
+from sim.contact.broad_phase import outside_box
 from sim.contact.constraints import FORCE_STEP, ContactConstraints
 from sim.contact.finger_capsules import MAX_SAMPLE_FORCE, SAMPLES_PER_HAND, FingerCapsules
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, known
 from sim.hands.grasp import MAX_HAND_FORCE
-from sim.rigid.rigid_bodies import FREE
+from sim.rigid.rigid_bodies import FREE, RigidShapes
 
 
 @ti.data_oriented
@@ -33,19 +33,13 @@ class FingerContact:
     """
 
     def __init__(
-        self,
-        capsules: FingerCapsules,
-        bounds: BodyBounds,
-        constraints: ContactConstraints,
-        begin: int,
-        *,
-        rigid_bodies=None,
-        shapes=None,
+        self, capsules: FingerCapsules, constraints: ContactConstraints, begin: int, shapes: RigidShapes | None
     ):
-        """rigid_bodies, shapes: None without rigid bodies."""
-        self.state, self.capsules, self.bounds = capsules.state, capsules, bounds
+        """Shapes: None without rigid bodies."""
+        self.state, self.capsules, self.bounds = capsules.state, capsules, capsules.bounds
         self.constraints, self.begin = constraints, begin
-        self.rigid_bodies, self.shapes, self.coupled = rigid_bodies, shapes, rigid_bodies is not None
+        self.shapes, self.coupled = shapes, shapes is not None
+        self.rigid_bodies = shapes.rigid_bodies if self.coupled else None
         self.hands, self.count = capsules.hands, capsules.count
         self.on_soft = begin > constraints.first_finger
         H, group = self.hands, FieldGroup()

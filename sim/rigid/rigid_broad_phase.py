@@ -22,8 +22,7 @@ from sim.contact.contact_samples import ContactSamples
 from sim.contact.response import CONTACT_SLOP
 from sim.contact.static_shapes import MAX_SHAPES, UNKNOWN_DISTANCE, StaticShapes, known
 from sim.model import MAX_BODIES
-from sim.rigid.rigid_bodies import FREE, SOFT, RigidBodies, RigidShapes
-from sim.state import State
+from sim.rigid.rigid_bodies import FREE, SOFT, RigidShapes
 
 SLOTS = 4  # shapes that one sample can touch at once: a floor, a wall and two neighbours
 WORLD = MAX_BODIES  # the one body that all static shapes are
@@ -91,19 +90,17 @@ class RigidBroadPhase:
 
     def __init__(
         self,
-        state: State,
-        rigid_bodies: RigidBodies,
-        samples: ContactSamples,
-        static_shapes: StaticShapes,
         shapes: RigidShapes,
+        static_shapes: StaticShapes,
         bounds: BodyBounds,
         constraints: ContactConstraints,
-        begin: int,
+        begin,
     ):
-        self.state, self.rigid_bodies, self.samples, self.bounds = state, rigid_bodies, samples, bounds
+        self.rigid_bodies, self.samples, self.bounds = shapes.rigid_bodies, shapes.samples, bounds
+        self.state = self.rigid_bodies.state
         self.static_shapes, self.shapes, self.constraints, self.begin = static_shapes, shapes, constraints, begin
         self.lanes = lane_count()
-        group, slots = FieldGroup(), slot_count(samples)
+        group, slots = FieldGroup(), slot_count(self.samples)
         with group.interleaved(slots):
             self.shape, self.entry = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
             self.distance, self.bounce_speed = group.scalar(), group.scalar()

@@ -114,6 +114,9 @@ def cached_body(
     vertices = vertices or how.vertices
     chosen = () if vertices else chosen_vertices(splats, arch, seed)
     out = body_place(splats, how, vertices or chosen)
+    if vertices and not out.is_file():  # a state and a recording name the number that was chosen
+        automatic = body_place(splats, how, chosen_vertices(splats, arch, seed))
+        out = automatic if automatic.is_file() and wanted_vertices(automatic) == vertices else out
     if out.is_file():
         _ask_up(splats, out)
     else:

@@ -100,6 +100,7 @@ def test_without_a_number_the_cage_suits_the_device_and_a_line_says_so(prepared,
     kept, vertices = cached_body(tmp_path / "ball.ply", Preparation(), "cpu")
     assert vertices == least and len(Asset.load(kept).cage.vertices) == len(found.cage.vertices)
     assert cached_body(tmp_path / "ball.ply", Preparation(), "cpu") == (kept, least)
+    assert cached_body(tmp_path / "ball.ply", Preparation(vertices=least), "cpu") == (kept, least)  # as a state asks
     assert device_vertices(animated=True)[0] > least
 
 

@@ -266,6 +266,9 @@ class Lift:
     def update(self, time, bodies):
         pass
 
+    def interaction(self, time):
+        return "transform" if 0.2 < time < 0.3 else "physics"
+
     def hands(self, time, bodies):
         return [Hand((0.0, 0.02 + max(time - 0.1, 0.0), 0.08), grip=time > 0.05, reach=0.06)]
 
@@ -281,7 +284,7 @@ def build():
 
 
 def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, capsys, ti_cpu):
-    """A ring is taken from the floor and lifted; then the same from the recording."""
+    """A ring is lifted from the floor, for a while in the other interaction; then the same from the recording."""
     from display.world import World
 
     (tmp_path / "lift.py").write_text(SCENE, encoding="utf-8")

@@ -7,33 +7,26 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from assets.animation import (
-    Animation,
-    close_loop,
-    decompose,
-    interpolate_poses,
-    linear_blend_skinning,
-    local_matrices,
-    slerp,
-    world_matrices,
-)
+from assets import animation
 from assets.asset import Asset
 from core.errors import BadInput
 from tests.assets.test_asset import put, refused, some_asset
 
 
-def some_motion(frames: int = 12, seed: int = 0) -> Animation:
+def some_motion(frames: int = 12, seed: int = 0) -> animation.Animation:
     """Three joints in a row that turn at random, and the five vertices of some_asset()."""
     rng = np.random.default_rng(seed)
     parents = np.array([-1, 0, 1], np.int32)
     rest = (rng.normal(size=(3, 3)), unit(rng.normal(size=(3, 4))), rng.uniform(0.5, 2, (3, 3)))
     turns = unit(rest[1] + 0.3 * rng.normal(size=(frames, 3, 4)))
-    inverse = np.linalg.inv(world_matrices(parents, rest))
+    inverse = np.linalg.inv(animation.world_matrices(parents, rest))
     weights = rng.dirichlet(np.ones(4), 5).astype(np.float32)
     joints = rng.integers(0, 3, (5, 4)).astype(np.int32)
     moving = (np.tile(rest[0], (frames, 1, 1)), turns, np.tile(rest[2], (frames, 1, 1)))
     driven = np.array([True, True, False, True, False])
-    return Animation(["a", "b", "c"], parents, inverse, rest, moving, 30.0, np.arange(5), joints, weights, driven)
+    return animation.Animation(
+        ["a", "b", "c"], parents, inverse, rest, moving, 30.0, np.arange(5), joints, weights, driven
+    )
 
 
 def unit(q):
@@ -53,9 +46,11 @@ def test_skinning_is_the_sum_over_joints_and_rest_is_rest():
 def test_a_rigid_motion_of_the_root_moves_all_alike():
     a, rng = some_motion(), np.random.default_rng(2)
     x = rng.normal(size=(5, 3))
-    M = local_matrices((rng.normal(size=(1, 3)), unit(rng.normal(size=(1, 4))), np.ones((1, 3))))[0]
+    M = animation.local_matrices((rng.normal(size=(1, 3)), unit(rng.normal(size=(1, 4))), np.ones((1, 3))))[0]
     assert_allclose(
-        linear_blend_skinning(x, a.joints, a.weights, np.tile(M, (3, 1, 1))), x @ M[:3, :3].T + M[:3, 3], atol=1e-6
+        animation.linear_blend_skinning(x, a.joints, a.weights, np.tile(M, (3, 1, 1))),
+        x @ M[:3, :3].T + M[:3, 3],
+        atol=1e-6,
     )
 
 
@@ -75,7 +70,7 @@ def test_a_motion_that_ends_elsewhere_is_led_home():
     t = np.cumsum(rng.normal(size=(31, 2, 3)), 0)
     q = unit(np.cumsum(rng.normal(size=(31, 2, 4)), 0) + 10)
     s = np.ones((31, 2, 3))
-    new = close_loop((t, q, s), 0.5, 30.0)
+    new = animation.close_loop((t, q, s), 0.5, 30.0)
     assert [len(x) for x in new] == [30, 30, 30]
     assert_allclose(new[0][:15], t[:15])  # untouched before the last half second
     jump = np.abs(new[0][-1] - new[0][0]).max()
@@ -87,22 +82,22 @@ def test_slerp_is_uniform_and_takes_the_shorter_way():
     a, angle = np.array([1.0, 0, 0, 0]), 1.2
     b = np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0])
     for u in (0.0, 0.25, 0.9, 1.0):
-        assert_allclose(slerp(a, -b, u), [np.cos(u * angle / 2), np.sin(u * angle / 2), 0, 0], atol=1e-12)
-    assert_allclose(slerp(a, a, 0.5), a)
+        assert_allclose(animation.slerp(a, -b, u), [np.cos(u * angle / 2), np.sin(u * angle / 2), 0, 0], atol=1e-12)
+    assert_allclose(animation.slerp(a, a, 0.5), a)
 
 
 def test_parts_of_a_matrix_make_it_again():
     rng = np.random.default_rng(4)
     local = (rng.normal(size=(9, 3)), unit(rng.normal(size=(9, 4))), rng.uniform(0.2, 3, (9, 3)))
-    m = local_matrices(local)
-    t, q, s, off = decompose(m)
-    assert_allclose(local_matrices((t, q, s)), m, atol=1e-12)
+    m = animation.local_matrices(local)
+    t, q, s, off = animation.decompose(m)
+    assert_allclose(animation.local_matrices((t, q, s)), m, atol=1e-12)
     assert off.max() < 1e-12
     sheared = np.eye(4)
     sheared[0, 1] = 0.5
     mirrored = np.diag([-1.0, 1, 1, 1])
-    assert (decompose(np.stack([sheared, mirrored]))[3] > 0.1).all()
-    assert_allclose(interpolate_poses((t, q, s), (t, q, s), 0.3)[0], t)
+    assert (animation.decompose(np.stack([sheared, mirrored]))[3] > 0.1).all()
+    assert_allclose(animation.interpolate_poses((t, q, s), (t, q, s), 0.3)[0], t)
 
 
 def test_the_file_gives_back_what_it_was_given(tmp_path):

@@ -3,22 +3,10 @@
 import numpy as np
 import pytest
 
+from assets import orientation
 from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.library import find_asset
-from assets.orientation import (
-    AXES,
-    FRONT_SURE,
-    LAPSE,
-    alternatives,
-    describe_guess,
-    front_of,
-    guess_up_axis,
-    question,
-    rotation_to_up,
-    turned_about_up,
-    up_probabilities,
-)
 from assets.splat_files import read_gaussians
 from prepare.cleaning import clean
 from prepare.pipeline import Options, clean_and_orient
@@ -27,7 +15,7 @@ from tests.support.cage_cases import case
 from tests.support.sample_scenes import brick, garden, room, table_and_jug
 from tests.support.shells import ball
 
-EVEN = dict.fromkeys(AXES, 1 / 6)
+EVEN = dict.fromkeys(orientation.AXES, 1 / 6)
 SCENES = {"room": room, "open room": lambda: room(ceiling=False), "garden": garden, "table": table_and_jug}
 
 
@@ -44,55 +32,57 @@ def every(g: Gaussians, n: int) -> Gaussians:
 def test_a_scene_stands_on_its_floor_whatever_axis_is_up(scenes, name):
     """Walls, a shelf and a chest do not mislead."""
     g = every(scenes[name], 3)
-    for up in AXES:
-        p = up_probabilities(g.transformed(rotation_to_up(up).T), EVEN)
+    for up in orientation.AXES:
+        p = orientation.up_probabilities(g.transformed(orientation.rotation_to_up(up).T), EVEN)
         assert max(p, key=p.get) == up and p[up] > 0.4, (up, p)
 
 
 def test_an_empty_box_has_no_up():
     """A closed empty room has no floor that could be told from its ceiling."""
     box = brick(np.random.default_rng(0), (-2, 0, -2.5), (2, 2.2, 2.5), 0.08, 0.0)
-    p = up_probabilities(box, EVEN)
-    assert max(p.values()) < 0.7 and len(alternatives(p)) > 1
+    p = orientation.up_probabilities(box, EVEN)
+    assert max(p.values()) < 0.7 and len(orientation.alternatives(p)) > 1
 
 
 def test_what_misleads_makes_unsure():
     """A mug whose underside is missing looks as if it were open below, too: the truth is among the alternatives."""
-    p = up_probabilities(clean(case("mug", 12_000))[0], EVEN)
-    assert "+y" in alternatives(p) and len(alternatives(p)) > 1
+    p = orientation.up_probabilities(clean(case("mug", 12_000))[0], EVEN)
+    assert "+y" in orientation.alternatives(p) and len(orientation.alternatives(p)) > 1
 
 
 def test_how_sure_a_guess_is_is_said():
-    assert describe_guess("-z", 0.514) == "-z (guessed, 51% sure; --up overrides)"
-    p = up_probabilities(case("capsule", 6000))
+    assert orientation.describe_guess("-z", 0.514) == "-z (guessed, 51% sure; --up overrides)"
+    p = orientation.up_probabilities(case("capsule", 6000))
     assert sum(p.values()) == pytest.approx(1.0)
-    assert alternatives(p) == sorted((up for up in p if p[up] > 0.02), key=p.get, reverse=True)  # it lies on any side
-    assert alternatives(dict.fromkeys(AXES, 0.02) | {"-y": 0.9}) == ["-y"]
+    assert orientation.alternatives(p) == sorted(
+        (up for up in p if p[up] > 0.02), key=p.get, reverse=True
+    )  # it lies on any side
+    assert orientation.alternatives(dict.fromkeys(orientation.AXES, 0.02) | {"-y": 0.9}) == ["-y"]
 
 
 def test_the_question_names_options_and_is_not_asked_when_sure():
     chances = {"-y": 0.5, "+y": 0.3, "+z": 0.19, "-z": 0.01}
-    assert question(chances) == "which way is up is not sure: --up -y 50%, --up +y 30%, --up +z 19%"
-    assert question({"-y": 0.97, "+y": 0.03}) == ""
+    assert orientation.question(chances) == "which way is up is not sure: --up -y 50%, --up +y 30%, --up +z 19%"
+    assert orientation.question({"-y": 0.97, "+y": 0.03}) == ""
 
 
-@pytest.mark.parametrize("up", AXES)
+@pytest.mark.parametrize("up", orientation.AXES)
 def test_an_axis_is_turned_up_by_the_smallest_rotation(up):
-    turn = rotation_to_up(up)
-    np.testing.assert_allclose(turn @ AXES[up], (0.0, 1.0, 0.0), atol=1e-12)
+    turn = orientation.rotation_to_up(up)
+    np.testing.assert_allclose(turn @ orientation.AXES[up], (0.0, 1.0, 0.0), atol=1e-12)
     assert np.linalg.det(turn) == pytest.approx(1.0)
     assert np.trace(turn) == pytest.approx({"+y": 3.0, "-y": -1.0}.get(up, 1.0))
 
 
 def test_no_guess_is_surer_than_the_lapses_of_the_model_leave_it():
     """A table on its legs is beyond doubt, but the cues may mean nothing there."""
-    assert max(up_probabilities(table_and_jug(), EVEN).values()) <= 1 - LAPSE * 5 / 6 + 1e-12
+    assert max(orientation.up_probabilities(table_and_jug(), EVEN).values()) <= 1 - orientation.LAPSE * 5 / 6 + 1e-12
 
 
 @pytest.mark.parametrize("name", ["toy_cat", "plush_dragon", "biker_human"])
 def test_downloaded_splats_stand_on_their_feet(name, shared):
     """None of which the model was fitted to."""
-    found = guess_up_axis(read_gaussians(shared / f"data/splats/{name}.ply"))
+    found = orientation.guess_up_axis(read_gaussians(shared / f"data/splats/{name}.ply"))
     assert found[0] == {"toy_cat": "-y", "plush_dragon": "+y", "biker_human": "-y"}[name] and found[1] > 0.6
 
 
@@ -107,24 +97,24 @@ def test_what_looks_the_same_from_all_sides_is_not_sure():
     g = Gaussians.of(
         means, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), -4.0), np.full(n, 3.0), np.zeros((n, 1, 3))
     )
-    assert guess_up_axis(g)[1] < 0.6 and len(alternatives(up_probabilities(g))) > 1
+    assert orientation.guess_up_axis(g)[1] < 0.6 and len(orientation.alternatives(orientation.up_probabilities(g))) > 1
 
 
 def toy(name: str, degrees: float):
     """A shipped body, whose front is +z, turned about the vertical."""
-    return Asset.load(find_asset(name)).gaussians.transformed(turned_about_up(np.radians(degrees)))
+    return Asset.load(find_asset(name)).gaussians.transformed(orientation.turned_about_up(np.radians(degrees)))
 
 
 @pytest.mark.parametrize(("name", "degrees"), [("toy_penguin", 130.0), ("sheep", -75.0)])
 def test_the_front_is_found_however_a_body_is_turned(name, degrees):
-    angle, sure = front_of(toy(name, degrees))
+    angle, sure = orientation.front_of(toy(name, degrees))
     off = (np.degrees(angle) - degrees + 180.0) % 360.0 - 180.0
     assert abs(off) <= 10.0 and sure > 0.9
 
 
 def test_a_body_without_a_front_keeps_that_of_its_file():
     """A plain ball is alike from all sides."""
-    assert front_of(ball())[1] < FRONT_SURE
+    assert orientation.front_of(ball())[1] < orientation.FRONT_SURE
 
 
 def test_preparing_turns_the_front_to_the_player_or_by_what_is_asked():
@@ -138,7 +128,7 @@ def test_preparing_turns_the_front_to_the_player_or_by_what_is_asked():
         return found["means"][found["means"][:, 1] > height]
 
     as_it_is, turned = ahead(), ahead(front=-100.0)
-    np.testing.assert_allclose(as_it_is @ turned_about_up(np.radians(-100.0)).T, turned, atol=1e-5)
+    np.testing.assert_allclose(as_it_is @ orientation.turned_about_up(np.radians(-100.0)).T, turned, atol=1e-5)
     guessed = ahead(front=None)
     cosine = (guessed * turned)[:, [0, 2]].sum() / np.sum(turned[:, [0, 2]] ** 2)
     assert cosine > np.cos(np.radians(10.0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from commands import capture_room, train
-from commands.capture_room import CaptureOptions, capture_key, check_can_ask, marks_in, photographed, stages_before
+from commands.capture_room import CaptureOptions, capture_key, marks_in, photographed, stages_before
 from core.errors import BadInput
 from prepare.room_capture.stages import Stages
 from prepare.segment.marks import Marks, ViewMarks, write_marks
@@ -140,12 +140,6 @@ def test_marks_of_photographs_without_a_pose_are_left_out():
         BadInput, match=r"'ball' is marked only in 1\.png, 3\.png, whose pose was not found; mark it in"
     ):
         marks_in(marks, ["0.png"], said.append)
-
-
-def test_without_a_display_nobody_can_be_asked_for_marks(monkeypatch):
-    monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
-    with pytest.raises(BadInput, match=r"no display to mark them on: give --marks MARKS\.json"):
-        check_can_ask()
 
 
 def test_a_training_depends_on_photographs_and_poses_not_on_marks_or_rooms_beside_them(tmp_path):

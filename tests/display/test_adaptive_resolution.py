@@ -123,12 +123,3 @@ def test_a_side_is_rounded_and_never_larger_than_it_is(full, scale, size):
     assert resolution.size == size
     resolution.hold(0.1)
     assert resolution.scale == R.MIN_SCALE
-
-
-def test_growing_never_makes_a_frame_too_slow():
-    assert R.LOW_LOAD * (1 + R.MAX_GROWTH) ** 2 < R.HIGH_LOAD
-    for full, scale in itertools.product((FULL, (633, 712)), np.linspace(R.MIN_SCALE, 1 / (1 + R.MAX_GROWTH), 50)):
-        small, large = R(full), R(full)
-        small.hold(scale)
-        large.hold(scale * (1 + R.MAX_GROWTH))
-        assert R.LOW_LOAD * np.prod(large.size) / np.prod(small.size) < R.HIGH_LOAD  # rounded sides included

@@ -111,12 +111,6 @@ def test_a_throw_in_slow_motion_is_as_fast_as_the_cursor(pace):
     assert_allclose((np.array(b.position) - a.position) / (dt * pace), (speed, 0.0, 0.0), rtol=1e-6)
 
 
-def test_project_is_the_inverse_of_the_ray():
-    origin, direction = CAMERA.ray(200.0, 50.0)
-    assert_allclose(project(CAMERA, origin + 2.5 * direction), (200.0, 50.0))
-    assert project(CAMERA, origin - direction) is None
-
-
 # hand
 
 

@@ -7,28 +7,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from core.vocabulary import Hand, Light
+from display import user_commands as cmd
 from display.edit.body_registry import FULL_NOTICE as FULL
 from display.edit.editor import Step, UndoStack
-from display.user_commands import (
-    MIN_TIME_SCALE,
-    Duplicate,
-    Place,
-    PlayDemo,
-    Redo,
-    Remove,
-    Rescale,
-    Reset,
-    Rotate,
-    Select,
-    SetGravity,
-    SetInteraction,
-    SetLight,
-    SetMaterial,
-    SetTimeScale,
-    Undo,
-    commands_from_text,
-    commands_to_text,
-)
 from scenes.dining_table import RING_MATERIAL as RUBBER
 from tests.support.edited_play import BLUE, DT, RED, Play, equal
 
@@ -41,11 +22,11 @@ def shared(ti_cpu) -> Play:
 @pytest.fixture
 def play(shared) -> Play:
     world = shared.world
-    shared.do(Reset(), SetInteraction("physics"), SetLight(world.scene.light))
-    shared.do(SetGravity(world.scene.gravity), SetTimeScale(1.0))
+    shared.do(cmd.Reset(), cmd.SetInteraction("physics"), cmd.SetLight(world.scene.light))
+    shared.do(cmd.SetGravity(world.scene.gravity), cmd.SetTimeScale(1.0))
     shared.world.editor.history.done.clear()
     shared.world.editor.history.undone.clear()
-    shared.do(Select(None))
+    shared.do(cmd.Select(None))
     shared.step()
     return shared
 
@@ -65,14 +46,14 @@ def test_a_world_at_rest_draws_nothing_and_undo_finds_it_asleep(play, monkeypatc
     for k in range(10):
         play.step(1, Hand((0.15, 0.02 + 0.003 * k, 0.08), grip=True))
     assert world.moving and world.stats()["asleep"] == 1
-    play.do(Undo())
+    play.do(cmd.Undo())
     equal(motion, play.motion())
     play.step()
     assert world.stats()["asleep"] == 2
     equal(motion, play.motion())
-    play.step(5, SetGravity((0.0, 1.0, 0.0)))  # wakes all
+    play.step(5, cmd.SetGravity((0.0, 1.0, 0.0)))  # wakes all
     assert world.stats()["asleep"] == 0 and min(b.velocity[1] for b in world.bodies()) > 0.0
-    play.do(Undo())
+    play.do(cmd.Undo())
     assert world.gravity == world.scene.gravity
 
 
@@ -86,15 +67,15 @@ def test_undo_of_a_move_brings_back_motion_picture_and_score_bit_for_bit(play):
     play.step(2)
     thrown = play.motion()
     assert (play.picture() != picture).any()
-    play.do(Undo())
+    play.do(cmd.Undo())
     equal(motion, play.motion())
     assert_array_equal(play.picture(), picture)
     assert (play.world.score, play.world.time) == (score, time)
-    play.do(Redo())
+    play.do(cmd.Redo())
     equal(thrown, play.motion())
-    play.do(Undo())
+    play.do(cmd.Undo())
     equal(motion, play.motion())
-    play.do(Undo())
+    play.do(cmd.Undo())
     equal(motion, play.motion())
     assert play.world.notice == "Nothing to undo."
 
@@ -107,7 +88,7 @@ def test_a_hand_that_takes_nothing_is_no_action(play):
 def test_a_copy_looks_like_its_original_and_stands_above_it(play):
     before, gaussians = play.picture(), play.world.device.splats.count
     own = play.world.device.gaussian_counts[BLUE]
-    play.do(Duplicate(BLUE))
+    play.do(cmd.Duplicate(BLUE))
     world = play.world
     assert world.device.splats.count == gaussians + own and len(world.bodies()) == 3 and world.selected == 2
     original, copy = world.bodies()[BLUE], world.bodies()[2]
@@ -138,16 +119,16 @@ def test_the_frame_of_an_edit_deforms_and_casts_once(play, monkeypatch):
     for name in ("deform", "cast_shadow", "render"):
         counted(name)
     before = play.picture()
-    for command in (Duplicate(RED), Undo()):
+    for command in (cmd.Duplicate(RED), cmd.Undo()):
         calls.clear()
         play.step(1, command)
         assert calls == ["deform", "cast_shadow", "render"]
-        assert (play.picture() != before).any() == (command != Undo())
+        assert (play.picture() != before).any() == (command != cmd.Undo())
 
 
 def test_the_game_sees_the_scenes_own_bodies_only(play):
-    play.do(Duplicate(RED))
-    play.do(Remove(RED))
+    play.do(cmd.Duplicate(RED))
+    play.do(cmd.Remove(RED))
     play.step()
     names, places = zip(*play.world.scene.game.seen, strict=True)
     assert names == ("ring_red", "ring_blue") and places[RED][0] > 100.0
@@ -157,15 +138,15 @@ def test_the_game_sees_the_scenes_own_bodies_only(play):
 
 def test_what_is_taken_away_is_not_drawn_and_comes_back(play):
     before, motion = play.picture(), play.motion()
-    play.do(Remove(BLUE))
+    play.do(cmd.Remove(BLUE))
     assert len(play.world.bodies()) == 1
     picture = play.picture()
     assert ((picture[..., 2].astype(int) - picture[..., 0]) > 60).sum() == 0
-    play.do(Remove(0))
+    play.do(cmd.Remove(0))
     assert play.world.bodies() == [] and (play.picture()[..., :3] == 0).all()
     play.step(2)
-    play.do(Undo())
-    play.do(Undo())
+    play.do(cmd.Undo())
+    play.do(cmd.Undo())
     equal(motion, play.motion())
     assert_array_equal(play.picture(), before)
 
@@ -176,18 +157,18 @@ def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
     first, count = play.world.device.embedding.spans[BLUE].gaussian, play.world.device.gaussian_counts[BLUE]
     about = np.array([foot.centroid[0], foot.low[1], foot.centroid[2]])
     for factor, size in ((1.5, 1.5), (1.4, 2.1)):
-        play.do(Rescale(BLUE, factor))
+        play.do(cmd.Rescale(BLUE, factor))
         assert_allclose(play.shown(BLUE), about + size * (before - about), atol=2e-5)
         now = play.world.device.splats.cov.to_numpy()[first : first + count]
         assert_allclose(now, size**2 * cov[first : first + count], rtol=1e-3, atol=1e-8)
         assert_allclose(play.world.bodies()[BLUE].low[1], foot.low[1], atol=1e-5)
-    play.do(Rescale(BLUE, 4.0))
+    play.do(cmd.Rescale(BLUE, 4.0))
     assert play.world.notice == FULL
     play.step()
-    play.do(Undo())
+    play.do(cmd.Undo())
     assert_allclose(play.shown(BLUE), before, atol=2e-6)
-    play.do(Rescale(BLUE, 0.05))
-    play.do(Rescale(BLUE, 0.05))
+    play.do(cmd.Rescale(BLUE, 0.05))
+    play.do(cmd.Rescale(BLUE, 0.05))
     assert_allclose(play.world.device.solver.body_models[BLUE].shape.factor, 0.2)
     assert play.world.notice == "It is as small as it can be."
 
@@ -195,7 +176,7 @@ def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
 def test_a_body_is_turned_and_stays_on_the_floor(play):
     play.step(20)
     before = play.world.bodies()[BLUE]
-    play.do(Rotate(BLUE, (np.cos(0.5), np.sin(0.5), 0.0, 0.0)))
+    play.do(cmd.Rotate(BLUE, (np.cos(0.5), np.sin(0.5), 0.0, 0.0)))
     after = play.world.bodies()[BLUE]
     assert_allclose(np.abs(before.axis @ after.axis), np.cos(1.0), atol=0.02)
     assert_allclose(after.low[1], before.low[1], atol=1e-5)
@@ -204,59 +185,59 @@ def test_a_body_is_turned_and_stays_on_the_floor(play):
 
 def test_a_drag_is_one_action_two_keys_are_two(play):
     for _ in range(4):
-        play.do(Rescale(RED, 1.02))
+        play.do(cmd.Rescale(RED, 1.02))
     for _ in range(3):
         play.step()
-    play.do(Rescale(RED, 1.1))
+    play.do(cmd.Rescale(RED, 1.1))
     light = play.world.light
     for k in range(5):
-        play.do(SetLight(Light((0.1 * k, 2.0, 0.0))))
+        play.do(cmd.SetLight(Light((0.1 * k, 2.0, 0.0))))
     assert [s.action for s in play.world.editor.history.done] == ["rescale", "rescale", "light"]
     motion = play.motion()
-    play.do(Undo())
+    play.do(cmd.Undo())
     assert play.world.light == light
     equal(motion, play.motion())  # the light alone went back
-    play.do(Undo())
+    play.do(cmd.Undo())
     assert_allclose(play.world.device.solver.body_models[RED].shape.factor, 1.02**4)
 
 
 def test_a_drag_of_a_slider_is_one_action_however_long_it_rests(play):
     world, materials = play.world, [replace(RUBBER, young=1e5 + 1e4 * k) for k in range(3)]
     for k in range(3):
-        play.do(SetMaterial(RED, materials[k], k > 0))
+        play.do(cmd.SetMaterial(RED, materials[k], k > 0))
         play.step(3)
     for k in range(3):
-        play.do(SetGravity((0.0, -1.0 - k, 0.0), k > 0))
+        play.do(cmd.SetGravity((0.0, -1.0 - k, 0.0), k > 0))
         play.step(3)
     assert [s.action for s in world.editor.history.done] == ["material", "gravity"]
-    play.do(Undo())
+    play.do(cmd.Undo())
     assert world.gravity == world.scene.gravity and world.material(RED)[0] == materials[2]
-    play.do(Undo())
+    play.do(cmd.Undo())
     assert world.material(RED)[0] == RUBBER
 
 
 def test_materials_are_named_and_what_is_changed_is_said(play):
     world = play.world
     assert world.material(RED) == (RUBBER, "silicone")
-    play.do(SetMaterial(RED, replace(RUBBER, friction=0.1)))
+    play.do(cmd.SetMaterial(RED, replace(RUBBER, friction=0.1)))
     assert world.material(RED)[1] == "silicone, changed" and world.material(BLUE)[1] == "silicone"
-    play.do(SetMaterial(RED, "jelly"))
-    play.do(Duplicate(RED))
+    play.do(cmd.SetMaterial(RED, "jelly"))
+    play.do(cmd.Duplicate(RED))
     assert world.material(RED)[1] == world.material(2)[1] == "jelly"
-    play.do(SetMaterial(2, replace(world.material(2)[0], young=9e3)))
+    play.do(cmd.SetMaterial(2, replace(world.material(2)[0], young=9e3)))
     assert world.material(2)[1] == "jelly, changed"
-    play.do(Undo())
+    play.do(cmd.Undo())
     assert world.material(2)[1] == "jelly"
 
 
 def test_time_passes_more_slowly(play):
     world = play.world
-    play.do(SetTimeScale(0.25))
+    play.do(cmd.SetTimeScale(0.25))
     play.step(4)
     assert_allclose(world.time, 2 * DT)  # one frame of the fixture, and a quarter of four
-    play.do(SetTimeScale(0.0))
-    assert world.time_scale == MIN_TIME_SCALE
-    play.do(Undo())
+    play.do(cmd.SetTimeScale(0.0))
+    assert world.time_scale == cmd.MIN_TIME_SCALE
+    play.do(cmd.Undo())
     assert world.time_scale == 0.25
 
 
@@ -265,10 +246,10 @@ def test_a_demonstration_ends_with_its_script_a_grip_or_a_reset(play, monkeypatc
     world, grip = play.world, Hand((0.15, 0.02, 0.08), grip=True)
     monkeypatch.setattr(world.scene.game, "duration", 4.5 * DT)
     monkeypatch.setattr(world.scene.game, "interaction", lambda time: "transform", raising=False)
-    play.do(PlayDemo(True))
+    play.do(cmd.PlayDemo(True))
     play.step(4)
     assert world.demo and world.interaction == "transform"
-    play.step(2, *{"script": [], "grip": [grip], "reset": [Reset()], "key": [PlayDemo(False)]}[end])
+    play.step(2, *{"script": [], "grip": [grip], "reset": [cmd.Reset()], "key": [cmd.PlayDemo(False)]}[end])
     assert not world.demo and world.interaction == "physics"
     play.step(2, *([grip] if end == "grip" else []))
     assert world.bodies()[BLUE].held == (end == "grip")
@@ -280,7 +261,7 @@ def test_a_body_is_put_elsewhere_and_rests_there(play):
     before = play.world.bodies()[RED]
     half_turn = (0.0, 0.0, 0.0, 1.0)
     for k in range(4):
-        play.do(Place(RED, (0.0, 0.1, 0.05), half_turn if k == 0 else (1.0, 0.0, 0.0, 0.0), k > 0))
+        play.do(cmd.Place(RED, (0.0, 0.1, 0.05), half_turn if k == 0 else (1.0, 0.0, 0.0, 0.0), k > 0))
     after = play.world.bodies()[RED]
     assert_allclose(after.centroid - before.centroid, (0.0, 0.4, 0.2), atol=1e-4)
     assert_allclose(after.axis, -before.axis, atol=1e-3)
@@ -290,15 +271,18 @@ def test_a_body_is_put_elsewhere_and_rests_there(play):
 
 def test_live_changes_are_replayed_bit_for_bit_from_their_recording(play):
     commands = {
-        1: [SetMaterial(RED, replace(RUBBER, young=1e5))],
-        2: [SetMaterial(RED, replace(RUBBER, young=2e5), continued=True), SetGravity((0.0, -1.6, 0.0))],
-        4: [SetTimeScale(0.3), Place(BLUE, (0.0, 0.1, 0.02), (0.9, 0.1, 0.0, 0.0))],
-        5: [SetTimeScale(0.4, continued=True), Place(BLUE, (0.0, 0.05, 0.0), continued=True)],
-        8: [Undo()],
+        1: [cmd.SetMaterial(RED, replace(RUBBER, young=1e5))],
+        2: [cmd.SetMaterial(RED, replace(RUBBER, young=2e5), continued=True), cmd.SetGravity((0.0, -1.6, 0.0))],
+        4: [cmd.SetTimeScale(0.3), cmd.Place(BLUE, (0.0, 0.1, 0.02), (0.9, 0.1, 0.0, 0.0))],
+        5: [cmd.SetTimeScale(0.4, continued=True), cmd.Place(BLUE, (0.0, 0.05, 0.0), continued=True)],
+        8: [cmd.Undo()],
     }
     ends = []
-    for read in (lambda k, given: given, lambda k, given: commands_from_text(commands_to_text(k, given), "x")[1]):
-        play.do(Reset(), SetGravity(play.world.scene.gravity), SetTimeScale(1.0))
+    for read in (
+        lambda k, given: given,
+        lambda k, given: cmd.commands_from_text(cmd.commands_to_text(k, given), "x")[1],
+    ):
+        play.do(cmd.Reset(), cmd.SetGravity(play.world.scene.gravity), cmd.SetTimeScale(1.0))
         for k in range(10):
             play.step(1, *read(k, commands.get(k, [])))
         ends.append((play.motion(), play.world.time, play.world.gravity, play.world.material(RED)))
@@ -308,17 +292,17 @@ def test_live_changes_are_replayed_bit_for_bit_from_their_recording(play):
 
 def test_reset_gives_the_scene_and_can_be_taken_back(play):
     start = play.motion()
-    play.do(Duplicate(RED))
-    play.do(Rescale(BLUE, 1.5))
-    play.do(SetMaterial(RED, "jelly"))
-    play.do(Remove(RED))
+    play.do(cmd.Duplicate(RED))
+    play.do(cmd.Rescale(BLUE, 1.5))
+    play.do(cmd.SetMaterial(RED, "jelly"))
+    play.do(cmd.Remove(RED))
     play.step(3)
     changed = play.motion()
-    play.do(Reset())
+    play.do(cmd.Reset())
     play.step()
     equal(start, play.motion())
     assert not play.world.registry.changed
-    play.do(Undo())
+    play.do(cmd.Undo())
     equal(changed, play.motion())
     assert [p.body.name for p in play.world.device.solver.body_models] == ["ring_blue", "ring_red"]
     assert play.world.device.solver.body_models[0].shape.factor == 1.5
@@ -326,16 +310,16 @@ def test_reset_gives_the_scene_and_can_be_taken_back(play):
 
 def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
     hand = Hand((0.15, 0.02, 0.08), grip=True)
-    play.do(Reset(), SetInteraction("transform"))
+    play.do(cmd.Reset(), cmd.SetInteraction("transform"))
     play.step(1, hand)
     play.step(1, Hand((0.15, 0.3, 0.08), grip=True))
     high = play.world.bodies()[BLUE]
     assert high.held and high.low[1] > 0.25
-    play.step(1, Hand((0.15, 0.3, 0.08), grip=True), Rescale(BLUE, 1.5))
+    play.step(1, Hand((0.15, 0.3, 0.08), grip=True), cmd.Rescale(BLUE, 1.5))
     larger = play.world.bodies()[BLUE]
     assert larger.held
     assert_allclose(larger.centroid, high.centroid, atol=1e-5)
-    play.step(1, Hand((0.25, 0.3, 0.08), grip=True), Duplicate(None))
+    play.step(1, Hand((0.25, 0.3, 0.08), grip=True), cmd.Duplicate(None))
     assert_allclose(play.world.bodies()[BLUE].centroid - larger.centroid, [0.1, 0.0, 0.0], atol=1e-5)
     copy = play.world.bodies()[2]
     assert not copy.held and copy.low[1] > larger.high[1] - 1e-4
@@ -345,24 +329,24 @@ def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
 
 def test_a_held_body_follows_the_hand_through_changes_of_its_size(play):
     """A change in each frame of a drag: none of the hand's way is lost, and all of it is one action."""
-    play.do(Reset(), SetInteraction("transform"))
+    play.do(cmd.Reset(), cmd.SetInteraction("transform"))
     play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
     motion, count = play.motion(), len(play.world.editor.history.done)
     start = play.world.bodies()[BLUE]
     for k in range(1, 6):
-        play.step(1, Hand((0.15 + 0.02 * k, 0.02 + 0.05 * k, 0.08), grip=True), Rescale(BLUE, 1.1))
+        play.step(1, Hand((0.15 + 0.02 * k, 0.02 + 0.05 * k, 0.08), grip=True), cmd.Rescale(BLUE, 1.1))
         body = play.world.bodies()[BLUE]
         assert body.held
         grown, before = body.high - body.low, start.high - start.low
         assert_allclose(grown, 1.1**k * before, rtol=1e-3)
         assert_allclose(body.centroid - start.centroid, [0.02 * k, 0.05 * k, 0.0], atol=1e-5)
     assert len(play.world.editor.history.done) == count + 1
-    play.do(SetInteraction("physics"))
+    play.do(cmd.SetInteraction("physics"))
     play.step(75)  # it bounces thrice
     rest = play.world.bodies()[BLUE]
     assert_allclose((rest.high - rest.low)[[0, 2]], grown[[0, 2]], rtol=0.05)  # it is that large, and lies on the floor
     assert 0.0 < rest.low[1] + 5e-3 < 0.03 and np.abs(rest.velocity).max() < 0.2
-    play.do(Undo())
+    play.do(cmd.Undo())
     equal(motion, play.motion())
 
 
@@ -371,7 +355,7 @@ def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
 
     trees = None
     for _ in range(40):
-        play.do(Duplicate(RED))
+        play.do(cmd.Duplicate(RED))
         if play.world.notice == FULL:
             break
         trees = trees or impl.get_runtime().prog.get_snode_tree_size()
@@ -379,28 +363,28 @@ def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
     assert 6 <= len(play.world.bodies()) < 40
     assert impl.get_runtime().prog.get_snode_tree_size() == trees
     motion, picture, steps = play.motion(), play.picture(), len(play.world.editor.history.done)
-    play.do(Duplicate(RED))
+    play.do(cmd.Duplicate(RED))
     equal(motion, play.motion())
     assert_array_equal(picture, play.picture())
     assert len(play.world.editor.history.done) == steps
-    play.do(Remove(RED))
-    play.do(Duplicate(0))
+    play.do(cmd.Remove(RED))
+    play.do(cmd.Duplicate(0))
     assert len(play.world.bodies()) == len(motion[0]) // len(play.world.device.solver.body_models[0].shape.vertices)
 
 
 @pytest.mark.parametrize(
     "command",
     [
-        [Duplicate(7)],
-        [Remove(-1)],
-        [Rescale(0, 0.0)],
-        [Rescale(0, float("nan"))],
-        [Rotate(0, (0.0, 0.0, 0.0, 0.0))],
-        [Place(0, (float("nan"), 0.0, 0.0))],
-        [Place(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))],
-        [SetMaterial(0, "unobtainium")],
-        [Duplicate(None)],
-        [Select(9)],
+        [cmd.Duplicate(7)],
+        [cmd.Remove(-1)],
+        [cmd.Rescale(0, 0.0)],
+        [cmd.Rescale(0, float("nan"))],
+        [cmd.Rotate(0, (0.0, 0.0, 0.0, 0.0))],
+        [cmd.Place(0, (float("nan"), 0.0, 0.0))],
+        [cmd.Place(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))],
+        [cmd.SetMaterial(0, "unobtainium")],
+        [cmd.Duplicate(None)],
+        [cmd.Select(9)],
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(play, command):
@@ -415,8 +399,8 @@ def test_a_body_of_the_users_joins_over_the_play_and_can_be_taken_back(play):
     """It falls onto what lies there, looks as its asset does, compiles nothing, and no game sees it."""
     from tests.support.compiling import compiled
 
-    play.do(Duplicate(RED))  # compiles what copies need
-    play.do(Reset())
+    play.do(cmd.Duplicate(RED))  # compiles what copies need
+    play.do(cmd.Reset())
     world, before = play.world, play.motion()
     with compiled() as kernels:
         world.editor.begin_frame()
@@ -430,88 +414,28 @@ def test_a_body_of_the_users_joins_over_the_play_and_can_be_taken_back(play):
     )
     means = play.shown(2)
     assert (means.min(0) > new.low - 0.01).all() and (means.max(0) < new.high + 0.01).all()
-    play.do(Undo())
+    play.do(cmd.Undo())
     assert len(world.bodies()) == 2 and world.device.splats.count == world.device.first + sum(
         world.device.gaussian_counts[:2]
     )
     equal(before, play.motion())
-    play.do(Redo())
+    play.do(cmd.Redo())
     assert [b.name for b in world.bodies()][2:] == ["my ball"]
-    play.do(Reset())
+    play.do(cmd.Reset())
     assert len(world.bodies()) == 2
 
 
-def test_a_snapshot_goes_on_in_a_world_with_capacity_for_more(play):
-    play.step(5)
-    world = play.world
-    saved, motion = world.snapshot(), play.motion()
-    play.do(Reset())
-    world.adopt(saved)
-    equal(motion, play.motion())
-    assert world.time == saved.time
+def test_the_oldest_steps_are_forgotten_and_a_new_action_ends_what_could_be_done_again():
+    history = UndoStack(steps=5)
+    for k in range(20):
+        history.add(Step("set", k))
+    assert [step.state for step in history.done] == [15, 16, 17, 18, 19]
+    assert history.back(lambda step: Step(step.action, 20)).state == 19 and len(history.undone) == 1
+    history.add(Step("set", 7))
+    assert history.undone == [] and history.forth(lambda step: step) is None
 
 
-class Counter:
-    """A number that actions change, and its history."""
-
-    def __init__(self, **limits):
-        self.value, self.history = 0, UndoStack(**limits)
-
-    def now(self, step: Step) -> Step:
-        return Step(step.action, self.value, {id(self.value): 10})
-
-    def act(self, value: int) -> None:
-        self.history.add(self.now(Step("set", None)))
-        self.value = value
-
-    def back(self) -> bool:
-        return self._go(self.history.back(self.now))
-
-    def forth(self) -> bool:
-        return self._go(self.history.forth(self.now))
-
-    def _go(self, step: Step | None) -> bool:
-        if step is not None:
-            self.value = step.state
-        return step is not None
-
-
-def test_back_and_forth_walk_along_the_same_states():
-    c = Counter()
-    for value in (3, 1, 4):
-        c.act(value)
-    seen = [c.value]
-    while c.back():
-        seen.append(c.value)
-    assert seen == [4, 1, 3, 0]
-    again = [c.value]
-    while c.forth():
-        again.append(c.value)
-    assert again == seen[::-1]
-    assert not c.forth()
-
-
-def test_a_new_action_ends_what_could_be_done_again():
-    c = Counter()
-    c.act(1)
-    c.act(2)
-    assert c.back() and c.value == 1
-    c.act(7)
-    assert not c.forth() and c.value == 7
-    assert c.back() and c.value == 1 and c.back() and c.value == 0 and not c.back()
-
-
-def test_the_oldest_steps_are_forgotten():
-    c = Counter(steps=5)
-    for value in range(1, 21):
-        c.act(value)
-    count = 0
-    while c.back():
-        count += 1
-    assert count == 5 and c.value == 15
-
-
-def test_so_are_those_that_take_too_much_but_what_is_shared_counts_once():
+def test_steps_that_take_too_much_are_forgotten_but_what_is_shared_counts_once():
     history, shared = UndoStack(steps=100, size=1000), object()
     for _ in range(20):
         own = object()

@@ -7,20 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from display.xr import hand_joints as J
+from display.xr import hand_tracking as tracking
 from display.xr.actions import FINGER_LENGTH, FINGER_RADIUS, Controller
 from display.xr.hand_joints import BONES, RELAXED, posed, rotation_about, rotation_along
-from display.xr.hand_tracking import (
-    FIST_ABOVE,
-    FIST_UNTIL,
-    HANDOVER,
-    LOCATION,
-    LOST_TIMEOUT,
-    PINCH_BELOW,
-    PINCH_UNTIL,
-    HandGestures,
-    InputSelector,
-    joints_of,
-)
 from display.xr.player import GRAB_RADIUS, PINCH_RADIUS, FingerPoke, Player
 from display.xr.poses import pose_matrix
 from scenes import registry
@@ -36,7 +25,7 @@ def frame(position=(0.0, 1.0, -0.4), yaw=0.3):
 
 def does(*poses, left=False):
     """Gestures of a hand in these poses, one after the other."""
-    hand = HandGestures()
+    hand = tracking.HandGestures()
     return [("grab", "pinch", "")[0 if c.grab else 1 if c.pinch else 2] for c in map(hand.read, track(poses, left))]
 
 
@@ -57,10 +46,10 @@ def test_what_is_begun_goes_on_until_it_is_clearly_over():
     apart = [np.linalg.norm(j.position[J.THUMB_TIP] - j.position[J.INDEX_TIP]) for j in track([PINCH, HALF, RELAXED])]
     wide = (0.62, 0.54, 0.2, 0.2, 0.2)
     between = np.linalg.norm(np.subtract(*posed(wide).position[[J.THUMB_TIP, J.INDEX_TIP]]))
-    assert apart[0] < PINCH_BELOW < between < PINCH_UNTIL < apart[1]
+    assert apart[0] < tracking.PINCH_BELOW < between < tracking.PINCH_UNTIL < apart[1]
     assert does(wide, PINCH, wide, HALF, wide) == ["", "pinch", "pinch", "", ""]
     loose = (0.5, 0.55, 0.55, 0.55, 0.55)
-    assert FIST_UNTIL < posed(loose).curls()[1] < FIST_ABOVE
+    assert tracking.FIST_UNTIL < posed(loose).curls()[1] < tracking.FIST_ABOVE
     assert does(loose, FIST, loose, RELAXED, loose) == ["", "grab", "grab", "", ""]
 
 
@@ -70,13 +59,13 @@ def test_a_fist_on_the_way_back_is_no_pinch():
 
 
 def test_a_lost_hand_goes_on_with_what_it_did():
-    hand = HandGestures()
+    hand = tracking.HandGestures()
     pinching, lost, back = (hand.read(j) for j in track([PINCH, None, (0.62, 0.54, 0.2, 0.2, 0.2)]))
     assert pinching.pinch == 1.0 and lost.grip is None and back.pinch == 1.0
 
 
 def test_a_pinch_holds_between_the_fingers_and_a_fist_in_the_palm():
-    pinch, fist = (HandGestures().read(posed(p).transformed(frame())) for p in (PINCH, FIST))
+    pinch, fist = (tracking.HandGestures().read(posed(p).transformed(frame())) for p in (PINCH, FIST))
     tips = posed(PINCH).transformed(frame()).position[[J.THUMB_TIP, J.INDEX_TIP]]
     assert_allclose(pinch.grip[:3, 3], tips.mean(0), atol=1e-12)
     assert_allclose(fist.grip[:3, 3], posed(FIST).transformed(frame()).position[J.PALM], atol=1e-12)
@@ -129,21 +118,21 @@ def test_the_skeleton_is_made_of_rotations_along_its_bones():
 
 
 def location_table(joints):
-    table = np.zeros(J.JOINT_COUNT, LOCATION)
+    table = np.zeros(J.JOINT_COUNT, tracking.LOCATION)
     table["orientation"][:, 3] = 1.0
     table["position"], table["radius"] = joints.position, joints.radius
     return table
 
 
 def test_joints_are_read_as_the_runtime_lays_them_out():
-    assert LOCATION.itemsize == 40  # XrSpaceLocationFlags, XrPosef, float; and the end's padding below
-    read = joints_of(location_table(posed()))
+    assert tracking.LOCATION.itemsize == 40  # XrSpaceLocationFlags, XrPosef, float; and the end's padding below
+    read = tracking.joints_of(location_table(posed()))
     assert_allclose(read.position, posed().position, atol=1e-6)
     assert_allclose(read.rotation, np.tile(np.eye(3), (J.JOINT_COUNT, 1, 1)))
     for field, value in (("position", np.nan), ("radius", np.inf), ("orientation", 0.0)):
         table = location_table(posed())
         table[field][3] = value
-        assert joints_of(table) is None
+        assert tracking.joints_of(table) is None
 
 
 IDLE, BUSY = Controller(grip=np.eye(4)), Controller(grip=np.eye(4), pinch=0.5)
@@ -155,19 +144,19 @@ def plays(sides, time, controller, hand):
 
 
 def test_a_controller_plays_while_it_is_used_and_a_hand_else():
-    sides = InputSelector()
+    sides = tracking.InputSelector()
     assert plays(sides, 0.0, IDLE, True) == "hand"
     assert plays(sides, 0.1, BUSY, True) == "controller"
-    assert plays(sides, 0.1 + 0.9 * HANDOVER, IDLE, True) == "controller"
-    assert plays(sides, 0.2 + HANDOVER, IDLE, True) == "hand"
+    assert plays(sides, 0.1 + 0.9 * tracking.HANDOVER, IDLE, True) == "controller"
+    assert plays(sides, 0.2 + tracking.HANDOVER, IDLE, True) == "hand"
 
 
 def test_a_lost_hand_is_not_replaced_at_once():
-    sides = InputSelector()
+    sides = tracking.InputSelector()
     assert plays(sides, 0.0, IDLE, True) == "hand"
-    assert plays(sides, 0.5 * LOST_TIMEOUT, IDLE, False) == "frozen"
-    assert plays(sides, 0.6 * LOST_TIMEOUT, IDLE, True) == "hand"
-    assert [plays(sides, t, IDLE, False) for t in (2.0 * LOST_TIMEOUT, 5.0)] == ["controller"] * 2
+    assert plays(sides, 0.5 * tracking.LOST_TIMEOUT, IDLE, False) == "frozen"
+    assert plays(sides, 0.6 * tracking.LOST_TIMEOUT, IDLE, True) == "hand"
+    assert [plays(sides, t, IDLE, False) for t in (2.0 * tracking.LOST_TIMEOUT, 5.0)] == ["controller"] * 2
 
 
 def test_a_touched_trigger_stretches_out_a_finger_and_a_grip_draws_it_in():

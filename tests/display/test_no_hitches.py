@@ -9,26 +9,9 @@ import pytest
 from core.camera import look_at, perspective
 from core.runtime import watch_compilation
 from core.vocabulary import Hand, Touch
+from display import user_commands as cmd
 from display.protocol import Frame
 from display.timing import KERNELS, start_progress
-from display.user_commands import (
-    Duplicate,
-    Pause,
-    Place,
-    PlayDemo,
-    Redo,
-    Remove,
-    Rescale,
-    Reset,
-    Rotate,
-    Select,
-    SetGravity,
-    SetInteraction,
-    SetLight,
-    SetMaterial,
-    SetTimeScale,
-    Undo,
-)
 from scenes import ring_toss
 from tests.support.compiling import compiled
 
@@ -82,13 +65,13 @@ class Play:
 
     def stretch(self):
         """Two hands draw it out in transform mode, and let go."""
-        self.frame(SetInteraction("transform"))
+        self.frame(cmd.SetInteraction("transform"))
         at = self.rim()
         for k in range(4):
             other = at + [0.03 * k, 0.0, -2 * ring_toss.RING_RADIUS - 0.02 * k]
             self.frame(*(Hand(tuple(p), grip=k > 0, reach=0.05) for p in (at, other)))
         self.frame(Hand(tuple(at)), Hand())
-        self.frame(SetInteraction("physics"))
+        self.frame(cmd.SetInteraction("physics"))
 
     def resize(self, width: int, height: int):
         self.size = width, height
@@ -112,24 +95,24 @@ def test_nothing_is_compiled_in_the_midst_of_play(play):
         play.frame()
         play.throw()
         play.touch()
-        for commands in ([Undo()], [Redo()], [Select(YELLOW)], [Rotate(None, TURN)]):
+        for commands in ([cmd.Undo()], [cmd.Redo()], [cmd.Select(YELLOW)], [cmd.Rotate(None, TURN)]):
             play.frame(*commands)
-        play.frame(Duplicate(None))
+        play.frame(cmd.Duplicate(None))
         assert len(play.world.bodies()) == 4
-        for commands in ([Rescale(None, 0.8)], [SetMaterial(0, "plush")], [Undo()], [Remove(0)]):
+        for commands in ([cmd.Rescale(None, 0.8)], [cmd.SetMaterial(0, "plush")], [cmd.Undo()], [cmd.Remove(0)]):
             play.frame(*commands)
-        play.frame(SetMaterial(0, "wood"))
+        play.frame(cmd.SetMaterial(0, "wood"))
         assert play.world.stats()["integrator"] == "vbd"
-        play.frame(SetLight(play.scene.light), SetGravity((0.0, -1.6, 0.0)), SetTimeScale(0.5))
-        play.frame(Place(0, (0.0, 0.1, 0.0)), SetGravity(play.scene.gravity), SetTimeScale(1.0))
-        play.frame(Pause(True))
-        play.frame(Pause(False), Reset())
+        play.frame(cmd.SetLight(play.scene.light), cmd.SetGravity((0.0, -1.6, 0.0)), cmd.SetTimeScale(0.5))
+        play.frame(cmd.Place(0, (0.0, 0.1, 0.0)), cmd.SetGravity(play.scene.gravity), cmd.SetTimeScale(1.0))
+        play.frame(cmd.Pause(True))
+        play.frame(cmd.Pause(False), cmd.Reset())
         assert play.world.stats()["integrator"] == "xpbd"
         play.stretch()
         play.world.pick(play.scene.eye, np.subtract(play.scene.target, play.scene.eye))
         play.resize(48, 32)
         play.resize(96, 64)
-        play.frame(PlayDemo(True))
+        play.frame(cmd.PlayDemo(True))
         play.frame()
     assert names == []
 

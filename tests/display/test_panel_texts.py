@@ -4,9 +4,8 @@ import pytest
 
 from core.material import MATERIALS
 from display.panel import called, changed, material_sliders, pascals
-from display.window.overlay import DEMONSTRATION, PAUSED, hints, lines_of
+from display.window.overlay import DEMONSTRATION, PAUSED, lines_of
 from display.window.widgets import ACCENT
-from tests.support.fake_view import FakeView
 from tests.support.fake_world import BallWorld, fake_scene
 
 
@@ -52,9 +51,3 @@ def test_lines_over_the_picture_say_that_a_demonstration_plays():
     assert texts == [["Throw the red ball."], [DEMONSTRATION], ["There is no capacity for that."]]
     world.paused = True
     assert lines_of(world)[1] == [(PAUSED, ACCENT)]
-
-
-def test_the_hint_names_what_there_is():
-    world = BallWorld(fake_scene())
-    assert hints(world) == [("drag", "to grab"), ("F1", "panel"), ("P", "demonstration")]
-    assert ("P", "demonstration") not in hints(FakeView(editable=False))

@@ -17,31 +17,13 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import BodyState, Hand, Light, Touch
+from display import user_commands as cmd
 from display.headless.video import FILM_FPS, frame_count
 from display.protocol import Frame
 from display.record.recording import Recording, packed_hand
 from display.record.recording_file import VERSION, hand_of
 from display.record.replay import Replay, fitted
 from display.timing import Timings
-from display.user_commands import (
-    Duplicate,
-    Pause,
-    Place,
-    PlayDemo,
-    Rescale,
-    Reset,
-    Rotate,
-    Select,
-    SetGravity,
-    SetInteraction,
-    SetLight,
-    SetMaterial,
-    SetTimeScale,
-    SingleStep,
-    Undo,
-    commands_from_text,
-    commands_to_text,
-)
 from tests.support.fake_world import fake_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,7 +52,11 @@ def some_frames(count=200, dt=1 / 90):
         q = rng.normal(size=4)
         hands = [Hand(tuple(rng.normal(size=3).tolist()), tuple((q / np.linalg.norm(q)).tolist()), k % 7 > 3, 0.05)]
         hands += [Hand()] if k % 3 else []
-        commands = {5: [Pause(True)], 6: [SingleStep()], 9: [SetLight(Light((1.0, 2.0, 3.0))), Reset()]}.get(k, [])
+        commands = {
+            5: [cmd.Pause(True)],
+            6: [cmd.SingleStep()],
+            9: [cmd.SetLight(Light((1.0, 2.0, 3.0))), cmd.Reset()],
+        }.get(k, [])
         cameras = [dataclasses.replace(CAMERA, cx=30.0 + 0.01 * k)] * (k % 3)
         frames.append(Frame(dt, dt * (k + 1), cameras, hands, commands, max_step=None if k % 2 else 1 / 90))
     return frames
@@ -152,7 +138,7 @@ def as_version_3(path):
 
 def test_recordings_of_version_3_are_read(tmp_path):
     capsules = tuple(Touch((0.0, 1.0, 0.1 * k), (1.0, 2.0, 3.0), 0.01) for k in range(2))
-    frames = [*some_frames(20), Frame(0.1, 1.0, [], [None, Hand(touch=capsules)], [SetMaterial(0, "jelly")])]
+    frames = [*some_frames(20), Frame(0.1, 1.0, [], [None, Hand(touch=capsules)], [cmd.SetMaterial(0, "jelly")])]
     record(tmp_path / "play.h5", frames)
     as_version_3(tmp_path / "play.h5")
     replay = Replay.load(tmp_path / "play.h5")
@@ -160,18 +146,22 @@ def test_recordings_of_version_3_are_read(tmp_path):
 
 
 def test_commands_come_back_as_they_were_and_others_are_refused():
-    commands = [Reset(), SetInteraction("transform"), SetLight(Light((0.0, 1.0, 2.0), kind="directional"))]
-    commands += [Duplicate(None), Select(3), Rescale(None, 1.5), Rotate(2, (1.0, 0.0, 0.0, 0.0))]
-    commands += [SetMaterial(0, Material(1e4, 0.3, 900.0)), Undo(), PlayDemo(False)]
-    commands += [SetGravity((0.0, -1.6, 0.0)), SetTimeScale(0.5, True), Place(1, (0.0, 0.1, 0.0), continued=True)]
-    assert commands_from_text(commands_to_text(7, commands), "x") == (7, commands)
-    assert commands_from_text('{"frame": 7, "material": [0, "jelly"]}', "x") == (
+    commands = [cmd.Reset(), cmd.SetInteraction("transform"), cmd.SetLight(Light((0.0, 1.0, 2.0), kind="directional"))]
+    commands += [cmd.Duplicate(None), cmd.Select(3), cmd.Rescale(None, 1.5), cmd.Rotate(2, (1.0, 0.0, 0.0, 0.0))]
+    commands += [cmd.SetMaterial(0, Material(1e4, 0.3, 900.0)), cmd.Undo(), cmd.PlayDemo(False)]
+    commands += [
+        cmd.SetGravity((0.0, -1.6, 0.0)),
+        cmd.SetTimeScale(0.5, True),
+        cmd.Place(1, (0.0, 0.1, 0.0), continued=True),
+    ]
+    assert cmd.commands_from_text(cmd.commands_to_text(7, commands), "x") == (7, commands)
+    assert cmd.commands_from_text('{"frame": 7, "material": [0, "jelly"]}', "x") == (
         7,
-        [SetMaterial(0, "jelly")],
+        [cmd.SetMaterial(0, "jelly")],
     )  # as it was before drags
-    assert commands_from_text(commands_to_text(7, [Rescale(np.int64(2), np.float64(1.5))]), "x") == (
+    assert cmd.commands_from_text(cmd.commands_to_text(7, [cmd.Rescale(np.int64(2), np.float64(1.5))]), "x") == (
         7,
-        [Rescale(2, 1.5)],
+        [cmd.Rescale(2, 1.5)],
     )
     for text in (
         "", "3", "{}", "[" * 100_000, '{"frame": 1.5}', '{"frame": 1, "select": -1}',
@@ -184,12 +174,15 @@ def test_commands_come_back_as_they_were_and_others_are_refused():
         '{"frame": 1, "time_scale": [1, true, 2]}',
     ):  # fmt: skip
         with pytest.raises(BadInput):
-            commands_from_text(text, "x")
+            cmd.commands_from_text(text, "x")
 
 
 def test_a_command_that_cannot_be_replayed_is_left_out_with_a_line(tmp_path, capsys):
-    record(tmp_path / "play.h5", [Frame(0.1, 0.1, [], [], [Rescale(0, np.nan)]), Frame(0.1, 0.2, [], [], [Reset()])])
-    assert [f.commands for f in Replay.load(tmp_path / "play.h5").recorded] == [[], [Reset()]]
+    record(
+        tmp_path / "play.h5",
+        [Frame(0.1, 0.1, [], [], [cmd.Rescale(0, np.nan)]), Frame(0.1, 0.2, [], [], [cmd.Reset()])],
+    )
+    assert [f.commands for f in Replay.load(tmp_path / "play.h5").recorded] == [[], [cmd.Reset()]]
     assert capsys.readouterr().err == (
         f"{tmp_path / 'play.h5'}: not recorded: the command 'rescale': [1] is None, not a number\n"
     )
@@ -230,7 +223,7 @@ def test_a_replay_does_the_same_and_says_so(tmp_path):
 
 def test_a_replay_in_a_window_is_held_by_its_pause(tmp_path):
     record(tmp_path / "play.h5", some_frames(20))
-    shown = [Frame(1 / 90, 0.0, [CAMERA], [], [Pause(True)] if k in (5, 50) else []) for k in range(80)]
+    shown = [Frame(1 / 90, 0.0, [CAMERA], [], [cmd.Pause(True)] if k in (5, 50) else []) for k in range(80)]
     world, presented = play_again(Replay.load(tmp_path / "play.h5"), shown, paced=True)
     assert len(world.frames) == 20 and len(set(presented[5:50])) == 1
 

@@ -107,18 +107,6 @@ def test_a_body_is_grabbed_dragged_and_thrown(session):
     session.until(lambda f: not f["grip"] and not f["held"])
 
 
-def test_the_wheel_pushes_a_held_body_away(session):
-    session.screen.mouse_move(*BALL)
-    session.after(2)
-    session.screen.mouse_down()
-    session.until(lambda f: f["held"])
-    session.screen.wheel(3)
-    far = session.until(lambda f: f["grip"] and f["hand"][2] < -0.1)
-    assert far["held"] and far["eye"] == [0, 0, 3]
-    session.screen.mouse_up()
-    session.until(lambda f: not f["held"])
-
-
 def test_drags_beside_the_body_move_the_camera(session):
     session.screen.drag(FREE, (FREE[0] - 100, FREE[1]), seconds=0.3)
     turned = session.until(lambda f: f["eye"][0] > 0.5)
@@ -141,14 +129,6 @@ def test_pictures_are_missed_only_while_something_moves(session):
     session.screen.key_down("w")
     session.until(lambda f: f["missed"] > rested["missed"])
     session.screen.key_up("w")
-
-
-def test_walking_with_a_held_key(session):
-    session.screen.key_down("w")
-    session.until(lambda f: f["eye"][2] < 2.5)
-    session.screen.key_up("w")
-    stopped = session.after()
-    assert session.after(5)["eye"] == stopped["eye"]
 
 
 def test_space_pauses_and_n_steps_once(session):

@@ -9,25 +9,10 @@ from numpy.testing import assert_allclose
 
 from core.vocabulary import Light
 from display import user_commands
+from display.xr import wrist_panel
 from display.xr.actions import FINGER_LENGTH, Controller
 from display.xr.hand_joints import HandJoints
 from display.xr.poses import pose_matrix
-from display.xr.wrist_panel import (
-    BUTTONS,
-    HEIGHT_OVER_HAND,
-    PANEL_BACKGROUND,
-    PIXELS,
-    PanelContent,
-    WristPanel,
-    button_at,
-    page_after,
-    pages,
-    paint,
-    panel_pose,
-    project_to_panel,
-    ray_hit,
-    scene_requests,
-)
 from tests.support.fake_view import FakeView
 from tests.support.fake_world import fake_scene
 from tests.support.worn import point_on_panel
@@ -39,7 +24,7 @@ def at(x, y, z) -> np.ndarray:
 
 HEAD = at(0.0, 1.6, 0.0)
 WORLD_FROM_PLAY = pose_matrix((5.0, 0.0, 2.0), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-BY_NAME = {b.name: b for b in BUTTONS}
+BY_NAME = {b.name: b for b in wrist_panel.BUTTONS}
 LEFT = Controller(grip=at(-0.2, 1.1, -0.35), aim=at(-0.2, 1.1, -0.35))
 AWAY = at(0.4, 1.3, -0.5)
 LIGHT = Light((0.0, 2.0, 0.0))
@@ -62,7 +47,7 @@ def world():
 @pytest.fixture
 def panel(world):
     """Pinned by its button."""
-    panel = WristPanel()
+    panel = wrist_panel.WristPanel()
     advance(panel, world, Controller(), replace(LEFT, pressed={"lower"}))
     assert panel.pose is not None
     return panel
@@ -86,47 +71,49 @@ def advance(panel, world, right: Controller, left: Controller = LEFT):
 
 
 def test_buttons_lie_apart_on_the_panel():
-    cover = np.zeros(PIXELS[::-1], int)
-    for b in BUTTONS:
+    cover = np.zeros(wrist_panel.PIXELS[::-1], int)
+    for b in wrist_panel.BUTTONS:
         x, y, w, h = b.box
-        assert x >= 0 and y >= 0 and x + w <= PIXELS[0] and y + h <= PIXELS[1] and min(w, h) >= 80
+        assert (
+            x >= 0 and y >= 0 and x + w <= wrist_panel.PIXELS[0] and y + h <= wrist_panel.PIXELS[1] and min(w, h) >= 80
+        )
         cover[y : y + h, x : x + w] += 1
-        assert button_at(x, y) is b and button_at(x + w - 1, y + h - 1) is b
+        assert wrist_panel.button_at(x, y) is b and wrist_panel.button_at(x + w - 1, y + h - 1) is b
     assert cover.max() == 1
-    assert button_at(1, 1) is None and button_at(-5, 200) is None
-    assert len(BY_NAME) == len(BUTTONS)
+    assert wrist_panel.button_at(1, 1) is None and wrist_panel.button_at(-5, 200) is None
+    assert len(BY_NAME) == len(wrist_panel.BUTTONS)
 
 
 def test_it_is_over_the_hand_and_looks_to_the_eyes():
-    pose = panel_pose(LEFT.grip, HEAD)
-    assert_allclose(pose[:3, 3], LEFT.grip[:3, 3] + [0, HEIGHT_OVER_HAND, 0])
+    pose = wrist_panel.panel_pose(LEFT.grip, HEAD)
+    assert_allclose(pose[:3, 3], LEFT.grip[:3, 3] + [0, wrist_panel.HEIGHT_OVER_HAND, 0])
     assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
     to_eyes = HEAD[:3, 3] - pose[:3, 3]
     assert_allclose(pose[:3, 2], to_eyes / np.linalg.norm(to_eyes))
     assert pose[1, 0] == pytest.approx(0.0) and pose[1, 1] > 0.5  # level, and not upside down
-    below = panel_pose(at(0.0, 1.0, 0.0), HEAD)
+    below = wrist_panel.panel_pose(at(0.0, 1.0, 0.0), HEAD)
     assert np.isfinite(below).all() and np.linalg.det(below[:3, :3]) == pytest.approx(1.0)
 
 
 def test_a_ray_meets_the_pixel_that_it_points_at_from_before_the_panel_and_not_from_afar():
-    pose = panel_pose(LEFT.grip, HEAD)
+    pose = wrist_panel.panel_pose(LEFT.grip, HEAD)
     rng = np.random.default_rng(0)
     for _ in range(50):
-        u, v = rng.uniform(0, PIXELS[0] - 1), rng.uniform(0, PIXELS[1] - 1)
+        u, v = rng.uniform(0, wrist_panel.PIXELS[0] - 1), rng.uniform(0, wrist_panel.PIXELS[1] - 1)
         target = point_on_panel(pose, u, v)
-        assert_allclose(project_to_panel(pose, target), (u, v, 0.0), atol=1e-9)
+        assert_allclose(wrist_panel.project_to_panel(pose, target), (u, v, 0.0), atol=1e-9)
         start = target + pose[:3, :3] @ [*rng.uniform(-0.3, 0.3, 2), rng.uniform(0.1, 0.8)]
         z = (start - target) / np.linalg.norm(start - target)
         x = np.cross([0.3, 1.0, 0.2], z)
         x /= np.linalg.norm(x)
         aim = pose_matrix(start, np.column_stack([x, np.cross(z, x), z]))
-        assert_allclose(ray_hit(pose, aim), (u, v), atol=1e-6)
+        assert_allclose(wrist_panel.ray_hit(pose, aim), (u, v), atol=1e-6)
         aim[:3, [0, 2]] *= -1
-        assert ray_hit(pose, aim) is None  # it points away
+        assert wrist_panel.ray_hit(pose, aim) is None  # it points away
     for offset in ([0, 0, -0.3], [0.5, 0, 0.3], [0, 0, 4.3]):  # behind, beside, far
-        assert ray_hit(pose, pose_matrix(pose[:3, 3] + pose[:3, :3] @ offset, pose[:3, :3])) is None
-    assert ray_hit(pose, pose_matrix(pose[:3, 3] + 0.3 * pose[:3, 2], pose[:3, :3])) is not None
+        assert wrist_panel.ray_hit(pose, pose_matrix(pose[:3, 3] + pose[:3, :3] @ offset, pose[:3, :3])) is None
+    assert wrist_panel.ray_hit(pose, pose_matrix(pose[:3, 3] + 0.3 * pose[:3, 2], pose[:3, :3])) is not None
 
 
 @pytest.mark.parametrize(
@@ -219,7 +206,7 @@ def test_pointing_at_a_body_selects_it(panel, world):
 
 
 def test_it_comes_when_the_palm_turns_to_the_face_and_goes(world):
-    panel = WristPanel()
+    panel = wrist_panel.WristPanel()
 
     def seen(degrees, **inputs):
         """True if the panel is shown once the left palm, +x of its grip, is that far from the direction to the eyes."""
@@ -245,49 +232,54 @@ def test_the_button_keeps_it_and_takes_it_away(panel, world):
 
 
 def test_what_it_shows(panel, world):
-    content = PanelContent.of(world, panel)
+    content = wrist_panel.PanelContent.of(world, panel)
     assert content.message == "2   Score: see there." and content.rate == "72 fps" and content.lit == {"Physics"}
     assert "Hold" in content.note and not content.warns
     world.selected, world.paused, world.interaction = 1, True, "transform"
-    content = PanelContent.of(world, panel)
+    content = wrist_panel.PanelContent.of(world, panel)
     assert content.note == "ring blue" and content.lit == {"Transform", "Pause"}
     world.notice = "There is no room."
-    content = PanelContent.of(world, panel)
+    content = wrist_panel.PanelContent.of(world, panel)
     assert content.note == "There is no room." and content.warns
 
 
 def test_its_picture_is_readable_and_says_what_is_on():
-    content = PanelContent("0 of 3 rings.", "ring_red", False, "90 fps", frozenset({"Physics"}), None)
-    plain = paint(content)
-    assert plain.shape == (*PIXELS[::-1], 4) and plain.dtype == np.uint8
+    content = wrist_panel.PanelContent("0 of 3 rings.", "ring_red", False, "90 fps", frozenset({"Physics"}), None)
+    plain = wrist_panel.paint(content)
+    assert plain.shape == (*wrist_panel.PIXELS[::-1], 4) and plain.dtype == np.uint8
     assert plain[0, 0, 3] == 0 and plain[250, 400, 3] == 255
     assert (plain[..., :3] <= plain[..., 3:]).all()  # colours times alpha
-    for b in BUTTONS:
+    for b in wrist_panel.BUTTONS:
         x, y, w, h = b.box
         inside = plain[y : y + h, x : x + w, :3].astype(int)
         assert np.ptp(inside[h // 4 : -h // 4].mean(2)) > 100, f"{b.name} has no letters"
         assert (inside[8, w // 2] > [200, 120, 0]).all() == (b.name == "Physics")
         outside = inside[:, [2, w - 3]].mean(2)
         assert abs(outside[h // 2].mean() - inside[8, w // 2].mean()) < 3, f"{b.name}'s letters reach its edge"
-    assert (plain[6, 300, :3] == PANEL_BACKGROUND).all()
+    assert (plain[6, 300, :3] == wrist_panel.PANEL_BACKGROUND).all()
     x, y, w, h = BY_NAME["Undo"].box
-    changed = (plain != paint(replace(content, hovered="Undo"))).any(2)
+    changed = (plain != wrist_panel.paint(replace(content, hovered="Undo"))).any(2)
     assert changed[y : y + h, x : x + w].mean() > 0.9 and not changed[:y].any()
-    assert (paint(replace(content, message="x" * 300)) != plain).any()  # it is cut, and fits
-    assert (paint(content) == plain).all()
+    assert (wrist_panel.paint(replace(content, message="x" * 300)) != plain).any()  # it is cut, and fits
+    assert (wrist_panel.paint(content) == plain).all()
 
 
 def test_scenes_are_listed_on_pages_of_their_own():
     """Each is a button that opens it; "Back" leads to the first page."""
-    page, seen = page_after("", "Scenes"), []
+    page, seen = wrist_panel.page_after("", "Scenes"), []
     while page:
-        names = [b.name for b in pages()[page]]
-        assert names[-1] == "Back" and page_after(page, "Back") == ""
-        for b in pages()[page]:
+        names = [b.name for b in wrist_panel.pages()[page]]
+        assert names[-1] == "Back" and wrist_panel.page_after(page, "Back") == ""
+        for b in wrist_panel.pages()[page]:
             x, y, w, h = b.box
-            assert x + w <= PIXELS[0] and y + h <= PIXELS[1]
-        requests = [scene_requests()[b.name] for b in pages()[page] if b.name not in ("More", "Back")]
+            assert x + w <= wrist_panel.PIXELS[0] and y + h <= wrist_panel.PIXELS[1]
+        requests = [
+            wrist_panel.scene_requests()[b.name] for b in wrist_panel.pages()[page] if b.name not in ("More", "Back")
+        ]
         seen += [(r.name, *r.options.values()) for r in requests]
-        page = page_after(page, "More") if "More" in names else ""
+        page = wrist_panel.page_after(page, "More") if "More" in names else ""
     assert {("ring_toss",), ("manipulation", "bear"), ("manipulation", "fox")} <= set(seen)
-    assert paint(PanelContent(page="scenes")).shape == paint(PanelContent()).shape
+    assert (
+        wrist_panel.paint(wrist_panel.PanelContent(page="scenes")).shape
+        == wrist_panel.paint(wrist_panel.PanelContent()).shape
+    )

@@ -11,8 +11,6 @@ For `full` a limit of the size of files stands for the full disk; with --folder 
     unshare -rm sh -c 'mount -t tmpfs -o size=1m tmpfs /mnt && python -m tests.faults.run full --folder /mnt'
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

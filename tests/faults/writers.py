@@ -3,8 +3,6 @@
 `write(folder, k)` writes version k, and `version(folder)` reads back which one is there: it fails if that is not whole.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

@@ -1,7 +1,5 @@
 """Mutations of HDF5 files by way of the library: types, shapes, values, attributes, links, chunks that are bombs."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

@@ -1,7 +1,5 @@
 """Readers of HDF5 files, and of the kept steps of a preparation, with sound samples."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A file to be read is a dict of its files by name, mostly one. Each mutation take
 returns another; all randomness comes from the generator, so that a case can be repeated.
 """
 
-from __future__ import annotations
-
 import functools
 import gzip
 import io

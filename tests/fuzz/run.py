@@ -7,8 +7,6 @@ of memory. The cases run in processes of their own, one a core: one that crashes
     python -m tests.fuzz.run --seed 3 --case asset:1207 --keep FOLDER   and keeps its file
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import faulthandler

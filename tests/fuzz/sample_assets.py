@@ -1,7 +1,5 @@
 """Small assets that hold all that an asset may hold."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small recordings, studies and states."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Readers of splats, meshes, skinned meshes and images, with sound samples of each format."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

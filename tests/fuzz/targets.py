@@ -3,8 +3,6 @@
 A case is a target, a seed and a number: `mutated(target, seed, number, folder)` is always the same file.
 """
 
-from __future__ import annotations
-
 import functools
 import zlib
 from collections.abc import Callable
@@ -13,24 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.fuzz import hdf5_targets as hdf5
+from tests.fuzz import splat_targets as splats
+from tests.fuzz import text_targets as texts
 from tests.fuzz.hdf5_mutations import claim_text, inside_hdf5
-from tests.fuzz.hdf5_targets import (
-    asset_samples,
-    checkpoint_samples,
-    journal_samples,
-    old_asset_samples,
-    old_recording_samples,
-    read_and_compare_study,
-    read_asset,
-    read_checkpoint,
-    read_recording,
-    read_saved_state,
-    read_training,
-    recording_samples,
-    state_samples,
-    study_samples,
-    training_samples,
-)
 from tests.fuzz.mutations import (
     BYTES,
     JSON,
@@ -39,36 +23,6 @@ from tests.fuzz.mutations import (
     Mutation,
     inside_zip,
     several,
-)
-from tests.fuzz.splat_targets import (
-    glb_samples,
-    image_samples,
-    inside_glb,
-    inside_gzip_only,
-    inside_sog,
-    mesh_samples,
-    read_image,
-    read_mesh_file,
-    read_skinned_glb,
-    read_splat,
-    splat_samples,
-    unzipped_sog,
-)
-from tests.fuzz.text_targets import (
-    ANSWERS,
-    CAMERA,
-    LANDMARKS,
-    MESSAGES,
-    PREFERENCES,
-    capture_samples,
-    inside_capture,
-    json_samples,
-    read_camera_file,
-    read_landmark_file,
-    read_page_message,
-    read_preferences,
-    read_questionnaire,
-    read_whole_capture,
 )
 
 
@@ -121,29 +75,45 @@ HDF5: Callable[[Path], list[Mutation]] = lambda folder: [inside_hdf5(folder)]  #
 TARGETS = {
     target.name: target
     for target in (
-        Target("ply", splat_samples(".ply"), read_splat),
-        Target("splat", splat_samples(".splat"), read_splat),
-        Target("ksplat", splat_samples(".ksplat"), read_splat),
-        Target("spz", splat_samples(".spz"), read_splat, lambda folder: [inside_gzip_only]),
-        Target("sog", splat_samples(".sog"), read_splat, lambda folder: [inside_zip(inside_sog)]),
-        Target("meta.json", unzipped_sog, read_splat, lambda folder: [inside_sog]),
-        Target("asset", asset_samples, read_asset, HDF5),
-        Target("old asset", old_asset_samples, read_asset, HDF5),
-        Target("recording", recording_samples, read_recording, HDF5),
-        Target("old recording", old_recording_samples, read_recording, HDF5),
-        Target("journal", journal_samples, read_recording, lambda folder: BYTES + TEXT),
-        Target("study", study_samples, read_and_compare_study, HDF5),
-        Target("camera", json_samples("cam.json", CAMERA, [CAMERA, CAMERA]), read_camera_file, lambda folder: JSON),
-        Target("answers", json_samples("answers.json", ANSWERS), read_questionnaire, lambda folder: JSON),
-        Target("landmarks", json_samples("l.json", LANDMARKS), read_landmark_file, lambda folder: JSON),
-        Target("state", state_samples, read_saved_state, HDF5),
-        Target("preferences", json_samples("p.json", PREFERENCES, {}), read_preferences, lambda folder: JSON),
-        Target("message", json_samples("m.json", *MESSAGES), read_page_message, lambda folder: JSON),
-        Target("glb", glb_samples, read_skinned_glb, lambda folder: [inside_glb]),
-        Target("mesh", mesh_samples, read_mesh_file, lambda folder: BYTES + TEXT),
-        Target("capture", capture_samples, read_whole_capture, lambda folder: [inside_capture]),
-        Target("training", training_samples, read_training, HDF5),
-        Target("image", image_samples, read_image),
-        Target("checkpoint", checkpoint_samples, read_checkpoint, lambda folder: [inside_zip(several(BYTES))]),
+        Target("ply", splats.splat_samples(".ply"), splats.read_splat),
+        Target("splat", splats.splat_samples(".splat"), splats.read_splat),
+        Target("ksplat", splats.splat_samples(".ksplat"), splats.read_splat),
+        Target("spz", splats.splat_samples(".spz"), splats.read_splat, lambda folder: [splats.inside_gzip_only]),
+        Target("sog", splats.splat_samples(".sog"), splats.read_splat, lambda folder: [inside_zip(splats.inside_sog)]),
+        Target("meta.json", splats.unzipped_sog, splats.read_splat, lambda folder: [splats.inside_sog]),
+        Target("asset", hdf5.asset_samples, hdf5.read_asset, HDF5),
+        Target("old asset", hdf5.old_asset_samples, hdf5.read_asset, HDF5),
+        Target("recording", hdf5.recording_samples, hdf5.read_recording, HDF5),
+        Target("old recording", hdf5.old_recording_samples, hdf5.read_recording, HDF5),
+        Target("journal", hdf5.journal_samples, hdf5.read_recording, lambda folder: BYTES + TEXT),
+        Target("study", hdf5.study_samples, hdf5.read_and_compare_study, HDF5),
+        Target(
+            "camera",
+            texts.json_samples("cam.json", texts.CAMERA, [texts.CAMERA, texts.CAMERA]),
+            texts.read_camera_file,
+            lambda folder: JSON,
+        ),
+        Target(
+            "answers", texts.json_samples("answers.json", texts.ANSWERS), texts.read_questionnaire, lambda folder: JSON
+        ),
+        Target(
+            "landmarks", texts.json_samples("l.json", texts.LANDMARKS), texts.read_landmark_file, lambda folder: JSON
+        ),
+        Target("state", hdf5.state_samples, hdf5.read_saved_state, HDF5),
+        Target(
+            "preferences",
+            texts.json_samples("p.json", texts.PREFERENCES, {}),
+            texts.read_preferences,
+            lambda folder: JSON,
+        ),
+        Target("message", texts.json_samples("m.json", *texts.MESSAGES), texts.read_page_message, lambda folder: JSON),
+        Target("glb", splats.glb_samples, splats.read_skinned_glb, lambda folder: [splats.inside_glb]),
+        Target("mesh", splats.mesh_samples, splats.read_mesh_file, lambda folder: BYTES + TEXT),
+        Target("capture", texts.capture_samples, texts.read_whole_capture, lambda folder: [texts.inside_capture]),
+        Target("training", hdf5.training_samples, hdf5.read_training, HDF5),
+        Target("image", splats.image_samples, splats.read_image),
+        Target(
+            "checkpoint", hdf5.checkpoint_samples, hdf5.read_checkpoint, lambda folder: [inside_zip(several(BYTES))]
+        ),
     )
 }

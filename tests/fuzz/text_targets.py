@@ -1,7 +1,5 @@
 """Readers of JSON and of captures, with sound samples."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -15,7 +15,6 @@ from tests.display.test_recording import Ball, some_frames
 from vrgs import main
 
 SOURCE = '''"""Zoo: an animal."""
-from __future__ import annotations
 from typing import Annotated, Literal
 from scenes.scene import Body, Scene
 

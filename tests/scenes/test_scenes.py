@@ -155,14 +155,6 @@ def test_help_shows_examples_for_every_command(command, capsys):
     assert re.search("^examples?:", capsys.readouterr().out, re.MULTILINE)
 
 
-def test_the_program_lists_its_scenes():
-    """As a process of its own, as users start it."""
-    done = vrgs("scenes", timeout=60)
-    assert done.returncode == 0 and "ring_toss" in done.stdout
-    done = vrgs("--scene", "nowhere", timeout=60)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1
-
-
 def test_a_faulty_scene_file_harms_no_other(tmp_path, monkeypatch, capsys):
     files = {
         "bare": "def build():\n    pass",

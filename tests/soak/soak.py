@@ -8,8 +8,6 @@ given another material; then all is released and comes to rest; last, the bodies
 no tetrahedron is inverted. `EnergyAudit` checks what must hold throughout.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

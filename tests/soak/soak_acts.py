@@ -4,8 +4,6 @@ All numbers come from a counter-based generator, one stream per (seed, episode),
 by itself.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """One rasterizer for many sets of Gaussians, cameras and picture sizes, so that it is compiled once."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from assets.gaussians import Gaussians

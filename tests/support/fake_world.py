@@ -19,21 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from core.material import MATERIALS
 from core.runtime import COMPILER_OPTIONS
 from core.vocabulary import BodyState, Light
+from display import user_commands as cmd
 from display.keep.keeper import Keeper
 from display.protocol import WorldView
 from display.timing import Timings
-from display.user_commands import (
-    Pause,
-    Place,
-    Reset,
-    Select,
-    SetInteraction,
-    SetLight,
-    SetMaterial,
-    SingleStep,
-    in_order,
-    last_of,
-)
 from scenes.scene import Scene
 
 RADIUS = 0.3  # [m]
@@ -115,21 +104,21 @@ class BallWorld(WorldView):
         return self.stuff
 
     def apply(self, commands) -> None:
-        for command in in_order(commands):
+        for command in cmd.in_order(commands):
             match command:
-                case Reset():
+                case cmd.Reset():
                     self.reset()
-                case SetLight(light):
+                case cmd.SetLight(light):
                     self.light = light
-                case SetInteraction(mode):
+                case cmd.SetInteraction(mode):
                     self.interaction = mode
-                case Select(body):
+                case cmd.Select(body):
                     self.selected = body
-                case Place(_, offset):
+                case cmd.Place(_, offset):
                     self.ball, self.velocity = self.ball + offset, np.zeros(3)
-                case SetMaterial(_, material):
+                case cmd.SetMaterial(_, material):
                     self.stuff = material, "silicone, changed"
-                case Pause(on):
+                case cmd.Pause(on):
                     self.paused = on
 
     def move(self, frame) -> None:
@@ -185,7 +174,7 @@ class FakeWorld(BallWorld):
 
     def step(self, frame) -> None:
         self.apply(frame.commands)
-        if not self.paused or last_of(SingleStep, frame.commands):
+        if not self.paused or cmd.last_of(cmd.SingleStep, frame.commands):
             with self.timings.stage("simulate"):
                 self.move(frame)
         self.draw(frame.cameras() if callable(frame.cameras) else frame.cameras)

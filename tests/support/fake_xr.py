@@ -6,8 +6,6 @@ handles not used after they are destroyed, and rectangles lie within their textu
 specification's error. A script says what happens when: see FakeXr.
 """
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 from types import MethodType

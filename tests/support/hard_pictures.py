@@ -1,7 +1,5 @@
 """Gaussians that are hard to draw right, each set with the two eyes that look at it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

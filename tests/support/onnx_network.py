@@ -1,7 +1,5 @@
 """Small ONNX networks, written as protobuf by hand (onnx.proto3)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

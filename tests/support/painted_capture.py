@@ -1,7 +1,5 @@
 """A small capture with exact poses: pictures of known Gaussians, drawn by the float64 renderer."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

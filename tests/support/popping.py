@@ -7,8 +7,6 @@ pixels. A reference whose pixels sort (almost) all splats changes by the last tw
 difference between the change of a sort order and that of the reference.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ The packet is `struct r_remote_data` of Monado 25.0.0 (src/xrt/drivers/remote/r_
 (x, y, z, w) quaternions and positions [m] in the play space.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

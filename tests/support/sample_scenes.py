@@ -1,7 +1,5 @@
 """Rooms and gardens of Gaussians made from code, with what is solid in them known exactly: for the tests of stages."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate

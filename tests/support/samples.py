@@ -33,36 +33,6 @@ def discs(points, scales=0.02, colors=0.5) -> Gaussians:
     return Gaussians.of(points, quats, log_scales, np.full(n, 4.0), sh)
 
 
-def damaged(good: bytes, trials: int, seed: int = 0):
-    """Copies of a file with truncations (each fourth) or one to three flipped bits."""
-    rng = np.random.default_rng(seed)
-    for trial in range(trials):
-        data = bytearray(good)
-        if trial % 4 == 0:
-            data = data[: rng.integers(0, len(good))]
-        else:
-            for at in rng.integers(0, len(good), 1 + trial % 3):
-                data[at] ^= 1 << rng.integers(0, 8)
-        yield bytes(data)
-
-
-def read_or_refuse(read, path, copies) -> dict[str, int]:
-    """Number of copies read as finite Gaussians, and number refused in one line; fails on anything else."""
-    outcomes = {"read": 0, "refused": 0}
-    for data in copies:
-        path.write_bytes(data)
-        try:
-            g = read(path)
-        except BadInput as e:
-            assert "\n" not in str(e) and str(path) in str(e)
-            outcomes["refused"] += 1
-            continue
-        assert all(np.isfinite(getattr(g, name)).all() for name in FIELDS)
-        np.testing.assert_allclose(np.linalg.norm(g.quats, axis=1), 1, atol=2e-3)
-        outcomes["read"] += 1
-    return outcomes
-
-
 def riff(kind: bytes, body: bytes) -> bytes:
     """A WebP container with one chunk."""
     return b"RIFF" + struct.pack("<I", 12 + len(body)) + b"WEBP" + kind + struct.pack("<I", len(body)) + body

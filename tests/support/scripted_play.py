@@ -1,7 +1,5 @@
 """A scene without its room, simulated but not drawn, and played through by its scripted hands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from display.protocol import Frame

@@ -1,7 +1,5 @@
 """A program that is played from outside, and the log that it leaves: a JSON line a frame."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -309,7 +309,7 @@ def test_the_film_of_a_replay_keeps_the_time_of_the_play(tmp_path, monkeypatch):
     """Frames of a window are of any length: here 12 in a second."""
     monkeypatch.setattr("display.headless.video.pixels_of", lambda picture: picture)
     shown = {"picture": np.zeros((24, 32, 4), np.uint8), "picture_size": (32, 24)}
-    world = N(**shown, timings=Timings(), time=0.0, wanted_view=None)
+    world = N(**shown, timings=Timings(), time=0.0, wanted_view=None, interaction="physics")
     words = ["--replay", "play.h5", "--headless", "--record", str(tmp_path / "again.mp4"), "--size", "32x24"]
     words += ["--frames", "12"]
     args = parse(words)[1]

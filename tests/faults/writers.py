@@ -24,12 +24,10 @@ class Writer:
 
 
 def read_back(name: str, read: Callable[[Path], int]) -> Callable[[Path], int | None]:
-    """Version of a file, None without it."""
     return lambda folder: read(folder / name) if (folder / name).exists() else None
 
 
 def splat(k: int):
-    """Gaussians of which all centres are at k."""
     from tests.support.samples import some_gaussians
 
     g = some_gaussians(400, 1)
@@ -37,8 +35,6 @@ def splat(k: int):
 
 
 def write_splat(name: str) -> Callable[[Path, int], None]:
-    """A writer of a splat format."""
-
     def write(folder: Path, k: int) -> None:
         from assets.splat_files import write_gaussians
 
@@ -48,7 +44,6 @@ def write_splat(name: str) -> Callable[[Path, int], None]:
 
 
 def splat_version(path: Path) -> int:
-    """The place of all centres."""
     from assets.splat_files import read_gaussians
 
     (k,) = np.unique(np.round(read_gaussians(path).means).astype(int))
@@ -56,8 +51,6 @@ def splat_version(path: Path) -> int:
 
 
 def write_asset(make: str, quantised: bool) -> Callable[[Path, int], None]:
-    """A writer of a body or a room."""
-
     def write(folder: Path, k: int) -> None:
         from tests.fuzz import sample_assets
 
@@ -68,14 +61,12 @@ def write_asset(make: str, quantised: bool) -> Callable[[Path, int], None]:
 
 
 def asset_version(path: Path) -> int:
-    """Content of its provenance."""
     from assets.asset import Asset
 
     return Asset.load(path).provenance["version"]
 
 
 def write_film(folder: Path, k: int) -> None:
-    """A film of k + 2 pictures."""
     from display.headless.video import Video
 
     video = Video(folder / "film.mp4", 64, 48)
@@ -85,7 +76,6 @@ def write_film(folder: Path, k: int) -> None:
 
 
 def film_version(path: Path) -> int:
-    """By its number of pictures, all of which can be read."""
     import cv2
 
     video, count = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG), 0
@@ -96,7 +86,6 @@ def film_version(path: Path) -> int:
 
 
 def write_play(folder: Path, k: int) -> None:
-    """A recorded play of k + 1 frames."""
     from display.record.recording import Recording
     from tests.display.test_recording import Ball, some_frames
 
@@ -111,7 +100,6 @@ def write_play(folder: Path, k: int) -> None:
 
 
 def play_version(folder: Path) -> int | None:
-    """The last of the plays, all of which are whole."""
     from display.record.replay import Replay
 
     last = None
@@ -122,7 +110,6 @@ def play_version(folder: Path) -> int | None:
 
 
 def write_trial(folder: Path, k: int) -> None:
-    """One more trial in a study."""
     from display.study.study_file import add_to_study
     from display.study.trial import Trial
 
@@ -130,7 +117,6 @@ def write_trial(folder: Path, k: int) -> None:
 
 
 def study_version(path: Path) -> int:
-    """By its number of trials, each of which is there."""
     from display.study.study_file import read_study
 
     names = [trial.participant for trial in read_study(path).trials]
@@ -139,7 +125,6 @@ def study_version(path: Path) -> int:
 
 
 def write_preferences(folder: Path, k: int) -> None:
-    """Two settings."""
     from display.preferences import Preferences
 
     preferences = Preferences(folder / "preferences.json")
@@ -148,7 +133,6 @@ def write_preferences(folder: Path, k: int) -> None:
 
 
 def preferences_version(path: Path) -> int:
-    """Content of the settings."""
     from display.preferences import Preferences
 
     preferences = Preferences(path)
@@ -167,7 +151,6 @@ def write_checkpoint(folder: Path, k: int) -> None:
 
 
 def checkpoint_version(folder: Path) -> int | None:
-    """The last step; all before it are kept too."""
     from prepare.progress import Checkpoints
 
     checkpoints = Checkpoints()
@@ -180,14 +163,12 @@ def checkpoint_version(folder: Path) -> int | None:
 
 
 def write_training(folder: Path, k: int) -> None:
-    """The state of a training after k steps."""
     from prepare.train.trainer import write_checkpoint
 
     write_checkpoint(folder / "training.h5", {"done": np.array([k]), "mean": np.full((500, 3), k)}, {})
 
 
 def training_version(path: Path) -> int:
-    """By its number of steps."""
     from assets.hdf5 import open_hdf5
 
     with open_hdf5(path) as file:
@@ -197,35 +178,30 @@ def training_version(path: Path) -> int:
 
 
 def write_picture(folder: Path, k: int) -> None:
-    """A picture of k + 1 rows."""
     from display.picture import save_picture
 
     save_picture(folder / "picture.png", np.random.default_rng(k).integers(0, 255, (k + 1, 300, 3), np.uint8))
 
 
 def picture_version(path: Path) -> int:
-    """By its height."""
     import cv2
 
     return cv2.imread(str(path)).shape[0] - 1
 
 
 def write_numbers(folder: Path, k: int) -> None:
-    """Statistics."""
     from assets.file_access import write_json
 
     write_json(folder / "stats.json", {"version": k, "more": list(range(3000))})
 
 
 def numbers_version(path: Path) -> int:
-    """Their content."""
     import json
 
     return json.loads(path.read_text())["version"]
 
 
 def write_camera(folder: Path, k: int) -> None:
-    """A camera file."""
     from assets.camera_file import write_cameras
     from core.camera import Camera
 
@@ -233,7 +209,6 @@ def write_camera(folder: Path, k: int) -> None:
 
 
 def camera_version(path: Path) -> int:
-    """By its width."""
     from assets.camera_file import read_cameras
 
     return read_cameras(path)[0].width - 1

@@ -29,7 +29,6 @@ def old_asset_samples(folder: Path) -> list[Files]:
 
 
 def with_variable_texts(path: Path) -> None:
-    """Write the texts of a file's attributes as of variable length."""
     with h5py.File(path, "r+") as file:
         for node in (file, *(file[name] for name in file)):
             for key, value in node.attrs.items():
@@ -38,7 +37,6 @@ def with_variable_texts(path: Path) -> None:
 
 
 def read_asset(path: Path) -> None:
-    """Load an asset in each of the ways of the program."""
     from assets.asset import Asset
     from assets.environment import Environment
     from assets.library import animated_height, asset_material, cage_vertices, default_material
@@ -55,14 +53,12 @@ def read_asset(path: Path) -> None:
 
 
 def recording_samples(folder: Path) -> list[Files]:
-    """A recording with hands, cameras and every kind of command."""
     from tests.fuzz.sample_plays import record_some
 
     return [saved(folder, "play.h5", record_some)]
 
 
 def old_recording_samples(folder: Path) -> list[Files]:
-    """The same recording as version 3 had it."""
     from tests.display.test_recording import as_version_3
     from tests.fuzz.sample_plays import record_some
 
@@ -88,7 +84,6 @@ def journal_samples(folder: Path) -> list[Files]:
 
 
 def read_recording(path: Path) -> None:
-    """Load a recording, and take over its options."""
     from commands.play import PlayOptions, take_options
     from display.record.replay import Replay
 
@@ -98,7 +93,6 @@ def read_recording(path: Path) -> None:
 
 
 def study_samples(folder: Path) -> list[Files]:
-    """A study of two participants with answers, and an empty one."""
     from display.study.study_file import Study, write_study
     from tests.fuzz.sample_plays import some_study
 
@@ -106,7 +100,6 @@ def study_samples(folder: Path) -> list[Files]:
 
 
 def read_and_compare_study(path: Path) -> None:
-    """Read a study, compare what it holds."""
     from display.study.comparison import compare_study, overview, table
     from display.study.study_file import read_study
 
@@ -116,7 +109,6 @@ def read_and_compare_study(path: Path) -> None:
 
 
 def state_samples(folder: Path) -> list[Files]:
-    """A saved state of bodies, hands, an animation and a game."""
     from display.keep.state_file import write_state
     from tests.fuzz.sample_plays import some_state
 
@@ -124,7 +116,6 @@ def state_samples(folder: Path) -> list[Files]:
 
 
 def read_saved_state(path: Path) -> None:
-    """Read a state, and what its game was."""
     from core.errors import BadInput
     from display.keep.scene_state import game_values
     from display.keep.state_file import read_state
@@ -137,7 +128,6 @@ def read_saved_state(path: Path) -> None:
 
 
 def training_state() -> dict[str, np.ndarray]:
-    """The state of a training with poses."""
     shapes = {"mean": (5, 3), "logit": (5,), "first": (5, 11), "sh": (5, 4, 3)}
     state = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
     state |= {"pose": np.zeros((4, 3, 6)), "pose_steps": np.zeros(4, np.int64), "done": np.array([7])}
@@ -145,21 +135,18 @@ def training_state() -> dict[str, np.ndarray]:
 
 
 def training_samples(folder: Path) -> list[Files]:
-    """A checkpoint of a training."""
     from prepare.train.trainer import write_checkpoint
 
     return [saved(folder, "training.h5", lambda path: write_checkpoint(path, training_state(), {"degree": 1}))]
 
 
 def read_training(path: Path) -> None:
-    """Read the checkpoint of a training."""
     from prepare.train.trainer import read_checkpoint
 
     read_checkpoint(path, {"degree": 1}, training_state(), 4)
 
 
 def checkpoint_samples(folder: Path) -> list[Files]:
-    """A kept step of a preparation."""
     from prepare.progress import arrays_of
     from tests.support.samples import some_gaussians
 

@@ -14,7 +14,6 @@ from tests.support.samples import some_gaussians
 
 
 def sphere_grid(nodes: int, spacing: float) -> DistanceGrid:
-    """Distances to a ball."""
     axis = spacing * (np.arange(nodes) - nodes / 2)
     distance = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1), axis=-1) - axis[-1] / 2
     return DistanceGrid(distance.astype(np.float16), np.full(3, axis[0]), spacing)
@@ -52,7 +51,6 @@ def moving_body() -> Asset:
 
 
 def some_stage() -> Asset:
-    """A room with planes and grids."""
     planes = (("floor", 0.0, -1.0, -1.0, 1.0, 1.0), ("table", 0.7, -0.5, -0.5, 0.5, 0.5))
     environment = Environment(0.0, (0.0, 0.7, 0.0), (0.0, 1.6, 1.0), 0.3, planes, (sphere_grid(5, 0.05),))
     return Asset(some_gaussians(40, 1), sdf=sphere_grid(9, 0.1), environment=environment)

@@ -29,7 +29,6 @@ COMMANDS = [
 
 
 def record_some(path: Path) -> None:
-    """Record a short play with commands."""
     world = Ball()
     with Recording(path) as recording:
         recording.about = {"scene": "ring_toss", "seed": 3, "body": ["ball"], "options": {"animal": "fox"}}
@@ -41,7 +40,6 @@ def record_some(path: Path) -> None:
 
 
 def some_study() -> Study:
-    """Three trials and two questionnaires."""
     trials = [
         Trial("Ida", "ring_toss", setting, "window", "2025-01-01T10:00:00", {"options": {}}, 30.0 + k, 2.0, 3.0,
               bool(k), 5, 3, 2.5, 1.5, 900, np.array([[0.0, 0.0], [4.0, k]]))

@@ -14,8 +14,6 @@ def silent(line: str) -> None:
 
 
 def splat_samples(suffix: str) -> Callable[[Path], list[Files]]:
-    """Samples of a splat format."""
-
     def samples(folder: Path) -> list[Files]:
         from assets.splat_files import write_gaussians
         from tests.support import splat_encoders as encode
@@ -47,7 +45,6 @@ def splat_samples(suffix: str) -> Callable[[Path], list[Files]]:
 
 
 def unzipped_sog(folder: Path) -> list[Files]:
-    """A SOG as a folder."""
     from tests.support.samples import some_gaussians
     from tests.support.splat_encoders import sog_files
 
@@ -55,20 +52,17 @@ def unzipped_sog(folder: Path) -> list[Files]:
 
 
 def read_splat(path: Path) -> None:
-    """Read a splat; all that is read can be drawn."""
     from assets.splat_files import read_gaussians
 
     read_gaussians(path, silent).check(str(path))
 
 
 def inside_gzip_only(rng: np.random.Generator, files: Files) -> Files:
-    """As `inside_gzip`, where the file is one."""
     data = next(iter(files.values()))
     return (inside_gzip if data[:2] == b"\x1f\x8b" else several(BYTES))(rng, files)
 
 
 def inside_sog(rng: np.random.Generator, files: Files) -> Files:
-    """The meta.json or the images of a SOG mutated."""
     if "meta.json" in files and rng.random() < 0.5:
         return files | {"meta.json": mutated_json(rng, files["meta.json"])}
     return several(BYTES)(rng, files)
@@ -93,7 +87,6 @@ def mesh_samples(folder: Path) -> list[Files]:
 
 
 def read_mesh_file(path: Path) -> None:
-    """Read a triangle mesh, and colours of its surface."""
     from assets.mesh_gaussians import read_triangle_mesh, texture_colours
 
     for part in read_triangle_mesh(path):
@@ -102,7 +95,6 @@ def read_mesh_file(path: Path) -> None:
 
 
 def glb_samples(folder: Path) -> list[Files]:
-    """A skinned bar with a motion and a texture."""
     from tests.support.glb import bar, packed
 
     builder, scene = bar()
@@ -124,7 +116,6 @@ def inside_glb(rng: np.random.Generator, files: Files) -> Files:
 
 
 def read_skinned_glb(path: Path) -> None:
-    """Read the rig and the mesh of a .glb."""
     from assets.formats.gltf import read_mesh, read_rig
 
     rig, file = read_rig(path)
@@ -132,7 +123,6 @@ def read_skinned_glb(path: Path) -> None:
 
 
 def image_samples(folder: Path) -> list[Files]:
-    """Small images of all kinds."""
     import cv2
 
     pixels = np.random.default_rng(0).integers(0, 255, (20, 30, 3), np.uint8)
@@ -141,7 +131,6 @@ def image_samples(folder: Path) -> list[Files]:
 
 
 def read_image(path: Path) -> None:
-    """The size of an image, and its pixels."""
     from assets.formats.gltf import PIXELS_MAX
     from assets.images import decode_image, read_image_header
 

@@ -13,7 +13,6 @@ from tests.fuzz.mutations import BYTES, TEXT, Files, mutated_json, several
 
 
 def json_samples(name: str, *values) -> Callable[[Path], list[Files]]:
-    """JSON files."""
     return lambda folder: [{name: json.dumps(value).encode()} for value in values]
 
 
@@ -27,21 +26,18 @@ LANDMARKS = {
 
 
 def read_camera_file(path: Path) -> None:
-    """Read a CAM.json."""
     from assets.camera_file import read_cameras
 
     read_cameras(path)
 
 
 def read_questionnaire(path: Path) -> None:
-    """Read answers of the questionnaire's page."""
     from display.study.questionnaire import read_answers_file
 
     read_answers_file(path, "now")
 
 
 def read_landmark_file(path: Path) -> None:
-    """Read the landmarks of a rig."""
     from prepare.rig.landmarks import read_landmarks
 
     read_landmarks(path)
@@ -92,7 +88,6 @@ MESSAGES = (
 
 
 def read_page_message(path: Path) -> None:
-    """Take a message of a page in a browser."""
     from core.errors import BadInput
     from display.web.page_messages import read_message
 
@@ -125,14 +120,12 @@ def capture_samples(folder: Path) -> list[Files]:
 
 
 def inside_capture(rng: np.random.Generator, files: Files) -> Files:
-    """The JSON mutated; of COLMAP models any of the files."""
     if "transforms.json" in files:
         return files | {"transforms.json": mutated_json(rng, files["transforms.json"])}
     return several(BYTES + TEXT)(rng, files)
 
 
 def read_whole_capture(path: Path) -> None:
-    """Read a capture, and one of its photographs."""
     from prepare.train.capture_files import read_capture
     from prepare.train.photographs import load_photograph
 

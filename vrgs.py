@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from commands.play import PlayOptions
+    from commands.play_options import PlayOptions
 
 START = "`make play` installs all; then start the program with .venv/bin/python, or activate .venv (README.md)"
 

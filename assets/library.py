@@ -27,6 +27,11 @@ SHIPPED_FOLDER = Path(__file__).resolve().parent / "data"
 _searched = [SHIPPED_FOLDER]  # folders of named assets, in turn
 
 
+def is_asset(name: str) -> bool:
+    """True if a body or room is an asset already: a shipped one, or an .h5 file."""
+    return (SHIPPED_FOLDER / f"{name}.h5").is_file() or Path(name).suffix.lower() == ".h5"
+
+
 def find_asset(name: str) -> Path:
     """Path of an asset named as in a scene: a shipped one ("ring") or a file. Raises BadInput."""
     for folder in _searched:

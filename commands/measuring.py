@@ -12,9 +12,9 @@ import numpy as np
 
 from assets.asset import Asset
 from assets.file_access import check_writable, write_json
-from assets.library import default_material, find_asset
+from assets.library import default_material, find_asset, is_asset
 from commands import options as cli
-from commands.prepared import cached_body, is_asset
+from commands.prepared import cached_body
 from core.errors import BadInput
 from core.material import Material
 from core.runtime import start_taichi

@@ -13,14 +13,15 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
+from assets.library import is_asset
 from commands.options import Preparation
-from commands.prepared import cached_body, cached_environment, is_asset, is_prepared, prepared_body
+from commands.prepared import cached_body, cached_environment, is_prepared, prepared_body
 from core.errors import BadInput
 from core.runtime import is_out_of_memory, running_arch
 from display.user_commands import AddBody, Command, OpenScene, SwapRoom
 
 if TYPE_CHECKING:
-    from commands.play import PlayOptions
+    from commands.play_options import PlayOptions
 
 ENDING_PATIENCE = 5.0  # [s] for a process that is asked to end
 

@@ -34,7 +34,7 @@ COMMANDS = {  # module and function, which takes the command's options as their 
         "find marked objects in all photographs of a capture, or take them out of a splat",
     ),
     "inpaint": ("commands.inpaint:inpaint", "remove an object from a splat, and fill the hole that it leaves"),
-    "convert": ("commands.convert:convert", "convert between splat formats"),
+    "convert": ("commands.export:convert", "convert between splat formats"),
     "export": (
         "commands.export:export",
         "write a scene as it is in play: splats, cages, surfaces, or a sequence of them",
@@ -105,7 +105,7 @@ def command(name: str) -> tuple[Callable, type[Options]]:
 
 def playing_options() -> type[Options]:
     """The dataclass of the options without a command."""
-    from commands.play import PlayOptions
+    from commands.play_options import PlayOptions
 
     return PlayOptions
 

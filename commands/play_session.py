@@ -24,7 +24,7 @@ from display.user_commands import AddBody, CancelOpening, Command, Measure, Open
 from scenes.registry import label
 
 if TYPE_CHECKING:
-    from commands.play import PlayOptions
+    from commands.play_options import PlayOptions
     from display.headless.video import FilmWriter
     from display.keep.keeper import Keeper
     from display.preferences import Preferences

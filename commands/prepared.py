@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from assets.file_access import file_size
 from assets.hdf5 import open_hdf5
-from assets.library import SHIPPED_FOLDER, cached_asset
+from assets.library import cached_asset, is_asset
 from assets.orientation import question
 from assets.room_folder import is_room_folder, read_room
 from core.errors import BadInput
@@ -18,7 +18,7 @@ from scenes.registry import demo
 
 if TYPE_CHECKING:
     from commands.options import Preparation
-    from commands.play import PlayOptions
+    from commands.play_options import PlayOptions
     from prepare.progress import Progress
 
 BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 8, 7  # of what `cached_body` and `cached_environment` make
@@ -39,11 +39,6 @@ def prepared_bodies(options: PlayOptions) -> list[str]:
     if splats:
         options.vertices = wanted[0] if len(wanted) == 1 else wanted
     return [made.get(name, name) for name in options.body or ()]
-
-
-def is_asset(name: str) -> bool:
-    """True if a body or room is an asset already: a shipped one, or an .h5 file."""
-    return (SHIPPED_FOLDER / f"{name}.h5").is_file() or Path(name).suffix.lower() == ".h5"
 
 
 def prepared_body(path: Path, options: PlayOptions, vertices: int | None = None) -> tuple[str, int]:

@@ -8,7 +8,8 @@ import pytest
 
 import vrgs
 from commands.options import Sort
-from commands.parser import parse, scene_file_in
+from commands.parser import COMMANDS, command, command_parser, parse, playing_parser, scene_file_in
+from commands.play_options import PlayOptions
 from core.errors import BadInput
 from render import SORTS
 
@@ -65,6 +66,12 @@ def refusal(words: str) -> str:
 @pytest.mark.parametrize("words, said", REFUSED, ids=[words for words, _ in REFUSED])
 def test_an_option_that_would_be_ignored_is_refused(words, said):
     assert said in refusal(words)
+
+
+@pytest.mark.parametrize("name", [None, *COMMANDS], ids=str)
+def test_conditions_name_options_that_exist(name):
+    parser, kind = (playing_parser([]), PlayOptions) if name is None else (command_parser(name, []), command(name)[1])
+    assert {flag for condition in kind.CONDITIONS for flag in condition.flags} <= set(parser._option_string_actions)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import pytest
 from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
-from commands.convert import ConvertOptions
-from commands.convert import convert as run_convert
+from commands.export import ConvertOptions
+from commands.export import convert as run_convert
 from core.errors import BadInput
 from tests.support.samples import FIELDS, some_gaussians
 from tests.support.splat_encoders import ksplat_bytes, sog_files, zipped
@@ -83,7 +83,7 @@ def test_all_that_is_read_converts_to_all_that_is_written(tmp_path, capsys, kind
 
 
 def test_progress_of_long_work_goes_to_stderr(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("commands.convert.PROGRESS_SIZE_MIN", 1)
+    monkeypatch.setattr("commands.export.PROGRESS_SIZE_MIN", 1)
     write_gaussians(tmp_path / "a.ply", some_gaussians(5))
     run_convert(ConvertOptions(input=tmp_path / "a.ply", output=tmp_path / "a.spz"))
     out, err = capsys.readouterr()

@@ -12,7 +12,7 @@ from assets.asset import Asset
 from assets.splat_files import write_gaussians
 from commands import opening
 from commands.opening import Opening, opened_options
-from commands.play import PlayOptions
+from commands.play_options import PlayOptions
 from core.errors import BadInput, Cancelled
 from core.vocabulary import Body
 from display.preferences import Preferences

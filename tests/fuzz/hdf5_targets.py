@@ -84,7 +84,8 @@ def journal_samples(folder: Path) -> list[Files]:
 
 
 def read_recording(path: Path) -> None:
-    from commands.play import PlayOptions, take_options
+    from commands.play import take_options
+    from commands.play_options import PlayOptions
     from display.record.replay import Replay
 
     replay = Replay.load(path)

@@ -6,7 +6,8 @@ import pytest
 
 import scenes
 from commands.parser import parse
-from commands.play import PlayOptions, load_scene, take_options
+from commands.play import load_scene, take_options
+from commands.play_options import PlayOptions
 from core.errors import BadInput
 from display.record.recording import Recording
 from display.record.replay import Replay

@@ -71,13 +71,8 @@ def test_deflated_in_a_folder_of_the_archive_and_unzipped(tmp_path):
 
 def test_gaussians_share_palette_entries_of_16_bits(tmp_path):
     g = some_gaussians(700, 1)
-    shared = Gaussians.of(
-        g.means,
-        g.quats,
-        g.log_scales,
-        g.logit_opacities,
-        np.concatenate([g.sh[:, :1], g.sh[np.arange(700) % 300, 1:]], 1),
-    )
+    sh = np.concatenate([g.sh[:, :1], g.sh[np.arange(700) % 300, 1:]], 1)
+    shared = Gaussians.of(*g_columns(g), sh)
     (tmp_path / "a.sog").write_bytes(zipped(sog_files(g, palette=300, width=28)))
     assert_within_its_steps(read_gaussians(tmp_path / "a.sog"), shared, 2)
 

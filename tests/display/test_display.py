@@ -17,7 +17,7 @@ from core.errors import BadInput
 from display.panel import frame_lines
 from display.picture import fit, pixels_of, save_picture, side_by_side
 from display.protocol import Frame
-from display.timing import ProgressLine, Timings, peak_memory_mb, run_stats
+from display.timing import ProgressLine, Timings, run_stats
 from tests.support.fake_world import FakeWorld, fake_scene
 
 WIDTH, HEIGHT = 320, 180
@@ -158,13 +158,6 @@ def test_stats_are_written_whole_and_as_strict_json(tmp_path, ti_cpu):
 def test_stats_that_cannot_be_written_are_bad_input(tmp_path):
     with pytest.raises(BadInput, match="does not exist"):
         write_json(tmp_path / "nowhere" / "stats.json", {})
-
-
-def test_peak_memory_grows_with_what_is_held():
-    before = peak_memory_mb()
-    assert 20 < before < 100_000
-    block = np.ones(int(1.2 * before * 1e6 / 8))  # alone more than all before
-    assert peak_memory_mb() > before and block[-1] == 1
 
 
 @pytest.mark.parametrize(("tty", "count"), [(True, 10), (False, 1)])

@@ -375,21 +375,14 @@ def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
 @pytest.mark.parametrize(
     "command",
     [
-        [cmd.Duplicate(7)],
-        [cmd.Remove(-1)],
-        [cmd.Rescale(0, 0.0)],
-        [cmd.Rescale(0, float("nan"))],
-        [cmd.Rotate(0, (0.0, 0.0, 0.0, 0.0))],
-        [cmd.Place(0, (float("nan"), 0.0, 0.0))],
-        [cmd.Place(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))],
-        [cmd.SetMaterial(0, "unobtainium")],
-        [cmd.Duplicate(None)],
-        [cmd.Select(9)],
+        *(cmd.Duplicate(7), cmd.Duplicate(None), cmd.Remove(-1), cmd.Select(9), cmd.SetMaterial(0, "unobtainium")),
+        *(cmd.Rescale(0, 0.0), cmd.Rescale(0, float("nan")), cmd.Rotate(0, (0.0, 0.0, 0.0, 0.0))),
+        *(cmd.Place(0, (float("nan"), 0.0, 0.0)), cmd.Place(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(play, command):
     motion, steps = play.motion(), len(play.world.editor.history.done)
-    play.do(*command)
+    play.do(command)
     assert play.world.notice and "\n" not in play.world.notice
     equal(motion, play.motion())
     assert len(play.world.editor.history.done) == steps

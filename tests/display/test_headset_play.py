@@ -38,19 +38,8 @@ class Play(Watched):
 
     def __init__(self, screen: XServer, folder: Path, environment: dict):
         self.screen, self.errors = screen, folder / "errors.txt"
-        options = [
-            "--xr",
-            "--scene",
-            "ring_toss",
-            "--arch",
-            "cpu",
-            "--stats",
-            "stats.json",
-            "--record-input",
-            "play.h5",
-            "--study",
-            "study.h5",
-        ]
+        options = ["--xr", "--scene", "ring_toss", "--arch", "cpu", "--stats", "stats.json"]
+        options += ["--record-input", "play.h5", "--study", "study.h5"]
         with open(self.errors, "w") as errors:
             env = {**screen.env, **environment}
             super().__init__("watched_play.py", folder, *options, env=env, patience=120.0, stderr=errors)

@@ -101,15 +101,6 @@ def test_the_photograph_shows_at_once_what_a_stroke_selects(tmp_path):
     assert changed[25:55, 35:65].mean() > 0.9 and changed[:15].mean() == 0.0
 
 
-def test_without_a_display_marks_come_from_a_file(tmp_path, monkeypatch):
-    from commands.marking import check_window
-    from core.errors import BadInput
-
-    monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
-    with pytest.raises(BadInput, match=r"--marks MARKS\.json"):
-        check_window()
-
-
 def test_a_window_that_is_left_leaves_no_folder(tmp_path, monkeypatch):
     from commands import segment
     from core.errors import Cancelled

@@ -31,30 +31,27 @@ def test_messages_are_read(message, values):
 @pytest.mark.parametrize(
     "message",
     [
-        "",
-        "{}",
-        "[]",
-        "[1]",
-        '["move", 1, 2]',
-        '["move", 1, 2, 3, 4]',
-        '["move", 1, NaN, 3]',
-        '["move", 1e9, 0, 3]',
-        '["move", true, 0, 3]',
-        '["button", "fourth", true, 0, 0, 1]',
-        '["button", "left", 1, 0, 0, 1]',
-        '["size", 0, 100]',
-        '["size", 1e9, 100]',
+        *("", "{}", "[]", "[1]", '["unknown"]', '[["move"], 1, 2, 3]', "[" * 2000, b'["blur"]'),
+        *(
+            '["move", 1, 2]',
+            '["move", 1, 2, 3, 4]',
+            '["move", 1, NaN, 3]',
+            '["move", 1e9, 0, 3]',
+            '["move", true, 0, 3]',
+        ),
+        *(
+            '["button", "fourth", true, 0, 0, 1]',
+            '["button", "left", 1, 0, 0, 1]',
+            '["size", 0, 100]',
+            '["size", 1e9, 100]',
+        ),
         '["key", "' + 50 * "x" + '", "a", true, false, 1]',
-        '["unknown"]',
-        '[["move"], 1, 2, 3]',
-        '["panel", "Body", "stiffness", 1e99, true]',
-        '["panel", "Body", "stiffness", null, true]',
-        '["panel", "Body", "stiffness", {"value": 1}, true]',
-        '["panel", "Body", "stiffness", 1]',
+        *(
+            f'["panel", "Body", "stiffness", {value}]'
+            for value in ("1e99, true", "null, true", '{"value": 1}, true', "1")
+        ),
         '["open", "manipulation", {"animal": 3}]',
         '["open", "manipulation", {' + ", ".join(f'"{k}": "a"' for k in range(11)) + "}]",
-        "[" * 2000,
-        b'["blur"]',
     ],
 )
 def test_malformed_messages_are_refused(message):
@@ -110,12 +107,9 @@ def test_a_page_is_told_all_sections_as_plain_data():
         ("KeyY", "z", True, True, "ctrl+z"),  # all else by what is printed on them
         ("KeyZ", "z", False, True, "z"),
         ("ShiftRight", "Shift", True, False, "shift"),
-        ("BracketRight", "+", True, False, "plus"),
         ("NumpadAdd", "+", True, False, "plus"),
         ("Digit3", "3", True, True, "ctrl+3"),
-        ("Delete", "Delete", True, False, "delete"),
         ("Space", " ", True, False, "space"),
-        ("Enter", "Enter", True, False, "enter"),
         ("Backspace", "Backspace", True, False, None),
     ],
 )

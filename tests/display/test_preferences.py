@@ -9,7 +9,7 @@ import pytest
 
 from core.vocabulary import Light
 from display.keep.keeper import Remembered
-from display.preferences import Bookmarks, PathText, Preferences, config_folder
+from display.preferences import PathText, Preferences, config_folder
 from display.protocol import Frame
 from display.user_commands import LoadState, SetLight, Undo
 from display.window.gl_window import covers
@@ -144,15 +144,6 @@ def test_the_last_state_of_the_scene_is_loaded_unless_another_is_named():
     preferences.set("state.sandbox", "/films/a.h5")
     assert play(remembered(preferences), LoadState()) == [LoadState("/films/a.h5")]
     assert play(remembered(preferences), LoadState("b.h5")) == [LoadState("b.h5")]
-
-
-@pytest.mark.parametrize("bad", [3, [[0, 1], [0, 0, 0]], [[0, 0, "x"], [0, 0, 0]]])
-def test_views_of_another_form_are_left_out(bad):
-    preferences, good = Preferences(), ((0.0, 1.0, 2.0), (0.0, 0.0, 0.5))
-    preferences.set("bookmarks.sandbox", {"1": good})
-    assert preferences.get("bookmarks.sandbox", Bookmarks, {}) == {"1": good}
-    preferences.set("bookmarks.sandbox", {"1": good, "2": bad})
-    assert preferences.get("bookmarks.sandbox", Bookmarks, {}) == {}
 
 
 def test_a_place_on_no_screen_is_not_returned_to():

@@ -149,11 +149,8 @@ def some_study() -> Study:
                 Trial(name, "ring_toss", setting, seconds=10.0 + k + slower, grips=4, frames=9, scores=scores)
             )
             if k < 2:
-                values = (
-                    (7 - k, *[4] * (len(QUESTIONS) - 1))
-                    if setting == "physics"
-                    else (2, 0, *[4] * (len(QUESTIONS) - 2))
-                )
+                first = (7 - k,) if setting == "physics" else (2, 0)
+                values = (*first, *[4] * (len(QUESTIONS) - len(first)))
                 answers.append(Answers(name, setting, values, "it <fell>" if k else "", "2026-01-01T00:00:00+00:00"))
     return Study(trials, answers)
 

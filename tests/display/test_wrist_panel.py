@@ -70,20 +70,6 @@ def advance(panel, world, right: Controller, left: Controller = LEFT):
     return commands, right.pinch
 
 
-def test_buttons_lie_apart_on_the_panel():
-    cover = np.zeros(wrist_panel.PIXELS[::-1], int)
-    for b in wrist_panel.BUTTONS:
-        x, y, w, h = b.box
-        assert (
-            x >= 0 and y >= 0 and x + w <= wrist_panel.PIXELS[0] and y + h <= wrist_panel.PIXELS[1] and min(w, h) >= 80
-        )
-        cover[y : y + h, x : x + w] += 1
-        assert wrist_panel.button_at(x, y) is b and wrist_panel.button_at(x + w - 1, y + h - 1) is b
-    assert cover.max() == 1
-    assert wrist_panel.button_at(1, 1) is None and wrist_panel.button_at(-5, 200) is None
-    assert len(BY_NAME) == len(wrist_panel.BUTTONS)
-
-
 def test_it_is_over_the_hand_and_looks_to_the_eyes():
     pose = wrist_panel.panel_pose(LEFT.grip, HEAD)
     assert_allclose(pose[:3, 3], LEFT.grip[:3, 3] + [0, wrist_panel.HEIGHT_OVER_HAND, 0])
@@ -247,21 +233,15 @@ def test_its_picture_is_readable_and_says_what_is_on():
     content = wrist_panel.PanelContent("0 of 3 rings.", "ring_red", False, "90 fps", frozenset({"Physics"}), None)
     plain = wrist_panel.paint(content)
     assert plain.shape == (*wrist_panel.PIXELS[::-1], 4) and plain.dtype == np.uint8
-    assert plain[0, 0, 3] == 0 and plain[250, 400, 3] == 255
     assert (plain[..., :3] <= plain[..., 3:]).all()  # colours times alpha
     for b in wrist_panel.BUTTONS:
         x, y, w, h = b.box
         inside = plain[y : y + h, x : x + w, :3].astype(int)
         assert np.ptp(inside[h // 4 : -h // 4].mean(2)) > 100, f"{b.name} has no letters"
         assert (inside[8, w // 2] > [200, 120, 0]).all() == (b.name == "Physics")
-        outside = inside[:, [2, w - 3]].mean(2)
-        assert abs(outside[h // 2].mean() - inside[8, w // 2].mean()) < 3, f"{b.name}'s letters reach its edge"
-    assert (plain[6, 300, :3] == wrist_panel.PANEL_BACKGROUND).all()
     x, y, w, h = BY_NAME["Undo"].box
     changed = (plain != wrist_panel.paint(replace(content, hovered="Undo"))).any(2)
     assert changed[y : y + h, x : x + w].mean() > 0.9 and not changed[:y].any()
-    assert (wrist_panel.paint(replace(content, message="x" * 300)) != plain).any()  # it is cut, and fits
-    assert (wrist_panel.paint(content) == plain).all()
 
 
 def test_scenes_are_listed_on_pages_of_their_own():

@@ -29,18 +29,15 @@ def moving_body() -> Asset:
     )
     rest = (np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones((2, 3)))
     motion = (np.zeros((frames, 2, 3)), np.tile(turns[:, None], (1, 2, 1)), np.ones((frames, 2, 3)))
-    animation = Animation(
-        ["lower", "upper"],
+    joints = np.tile(np.array([0, 1, 0, 0], np.int32), (count, 1))
+    weights = np.tile(np.array([0.75, 0.25, 0, 0], np.float32), (count, 1))
+    parents, inverse_bind, driven = (
         np.array([-1, 0], np.int32),
         np.tile(np.eye(4), (2, 1, 1)),
-        rest,
-        motion,
-        30.0,
-        surface,
-        np.tile(np.array([0, 1, 0, 0], np.int32), (count, 1)),
-        np.tile(np.array([0.75, 0.25, 0, 0], np.float32), (count, 1)),
         np.arange(count) % 2 == 0,
     )
+    names = ["lower", "upper"]
+    animation = Animation(names, parents, inverse_bind, rest, motion, 30.0, surface, joints, weights, driven)
     return replace(
         asset,
         sdf=sphere_grid(7, 0.1),

@@ -82,12 +82,9 @@ def bar(seed: int = 0):
     }  # fmt: skip
     primitive = {"attributes": attributes, "indices": b.array(faces.ravel(), "u2"), "material": 0}
     samplers = [{"input": b.array(TIMES), "output": b.array(TURNS), "interpolation": "LINEAR"}]
+    nodes = [{"name": "lower", "children": [1]}, {"name": "upper", "translation": [0, 0.5, 0]}, {"mesh": 0, "skin": 0}]
     scene = {
-        "nodes": [
-            {"name": "lower", "children": [1]},
-            {"name": "upper", "translation": [0, 0.5, 0]},
-            {"mesh": 0, "skin": 0},
-        ],
+        "nodes": nodes,
         "meshes": [{"primitives": [primitive]}],
         "skins": [{"joints": [0, 1], "inverseBindMatrices": b.array(np.swapaxes(bind, 1, 2))}],
         "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],

@@ -73,14 +73,8 @@ def compressed_bytes(g: Gaussians, *, colored=True, order="<") -> bytes:
             scale = [fraction(s[i, k], s[:, k].min(), s[:, k].max(), (11, 10, 11)[k]) for k in range(3)]
             rgb = [min(max(fraction(color[i, k], box[0][k], box[1][k], 8), 0), 255) for k in range(3)]
             alpha = round(float(g.opacities[first + i]) * 255)
-            words.append(
-                [
-                    position[0] << 21 | position[1] << 11 | position[2],
-                    packed_quat(g.quats[first + i]),
-                    scale[0] << 21 | scale[1] << 11 | scale[2],
-                    rgb[0] << 24 | rgb[1] << 16 | rgb[2] << 8 | alpha,
-                ]
-            )
+            words.append([position[0] << 21 | position[1] << 11 | position[2], packed_quat(g.quats[first + i])])
+            words[-1] += [scale[0] << 21 | scale[1] << 11 | scale[2], rgb[0] << 24 | rgb[1] << 16 | rgb[2] << 8 | alpha]
     rest = g.sh[:, 1:].transpose(0, 2, 1).reshape(len(g), -1)
     form = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
     lines = ["ply", f"format {form} 1.0", "comment made by a test", f"element chunk {len(ranges)}"]
@@ -130,11 +124,8 @@ def section_bytes(g: Gaussians, level: int, sh_range=(-1.5, 1.5), capacity=0, bu
                 values = g.sh[i, first:last].T.ravel()  # red, green, blue
                 low, high = sh_range
                 as_bytes = np.clip(np.round((values - low) / (high - low) * 255), 0, 255).astype(np.uint8).tobytes()
-                content += [
-                    struct.pack(f"<{len(values)}f", *values),
-                    struct.pack(f"<{len(values)}e", *values),
-                    as_bytes,
-                ][level]
+                as_numbers = [struct.pack(f"<{len(values)}{kind}", *values) for kind in "fe"]
+                content += [*as_numbers, as_bytes][level]
     content += bytes(capacity * row_size(level, g.sh_degree))
     about = (BUCKET, len(full + partial), BLOCK, bucket_bytes, OFFSET_RANGE) if level else (0, 0, 0.0, 0, 0)
     counts = (len(full), len(partial)) if level else (0, 0)

@@ -202,32 +202,24 @@ def in_world_of(splats, capture, photographs: list, path: Path):
 
 
 def take_objects(options: SegmentOptions) -> None:
-    """Write a splat per object that the marks mark to the folder --out. Raises BadInput."""
+    """Write a splat per marked object to the folder --out. Raises BadInput."""
+    from prepare.segment.splat_segmentation import output_files, overlay_of, segment_splat, write_segmented
+
     if options.out.exists() and not options.out.is_dir():
         raise BadInput(f"{options.out}: is a file; --out is a folder")
     with locked_folder(options.out):
-        _take_objects(options)
-
-
-def _take_objects(options: SegmentOptions) -> None:
-    """As `take_objects`, in the locked folder."""
-    from prepare.segment.splat_segmentation import output_files, overlay_of, segment_splat, write_segmented
-
-    if options.marks is None:
-        marks = marked_splats(options)
-    else:
-        marks = read_splat_marks(options.marks)
-    start = time.perf_counter()
-    outputs = output_files(options.out, list(marks.marks.objects)).values()
-    if options.capture.resolve() in [path.resolve() for path in outputs]:
-        raise BadInput(f"{options.capture}: would be overwritten; choose another folder for --out")
-    gaussians = read_gaussians(options.capture, show)
-    start_taichi(options.arch)
-    segmented = segment_splat(gaussians, marks, show)
-    files = write_segmented(options.out, segmented)
-    write_splat_marks(options.out / MARKS_FILE, marks)
-    for view, picture in overlay_of(segmented, marks).items():
-        save_picture(options.out / f"{view}.png", picture)
+        marks = marked_splats(options) if options.marks is None else read_splat_marks(options.marks)
+        start = time.perf_counter()
+        outputs = output_files(options.out, list(marks.marks.objects)).values()
+        if options.capture.resolve() in [path.resolve() for path in outputs]:
+            raise BadInput(f"{options.capture}: would be overwritten; choose another folder for --out")
+        gaussians = read_gaussians(options.capture, show)
+        start_taichi(options.arch)
+        segmented = segment_splat(gaussians, marks, show)
+        files = write_segmented(options.out, segmented)
+        write_splat_marks(options.out / MARKS_FILE, marks)
+        for view, picture in overlay_of(segmented, marks).items():
+            save_picture(options.out / f"{view}.png", picture)
     written = ", ".join(path.name for path in files.values())
     print(f"{options.out}: {written}; {segmented.cut} Gaussians cut in two, {time.perf_counter() - start:.1f} s")
 

@@ -102,9 +102,9 @@ def test_a_room_that_another_run_writes_is_left_alone(tmp_path, monkeypatch):
     assert not room.exists()
 
     def held(making) -> None:
-        with pytest.raises(BadInput, match="another run"), locked_folder(making.args.out):
+        with pytest.raises(BadInput, match="another run"), locked_folder(making.options.out):
             pass
-        (making.args.out / "made.txt").touch()
+        (making.options.out / "made.txt").touch()
 
     monkeypatch.setattr(RoomMaking, "make", held)
     monkeypatch.setattr("commands.capture_room.start_taichi", lambda arch, seed: None)

@@ -39,6 +39,11 @@ class Camera:
         d = self.world_to_camera[:3, :3].T @ d
         return self.position, d / np.linalg.norm(d)
 
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view in a picture of another size [px], stretched to it."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, self.world_to_camera)
+
     def projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Picture positions x, y (...) [px] of points (..., 3), and their depths (...) along the axis [m]; positions
         mean nothing where the depth is not positive."""

@@ -50,9 +50,7 @@ def contributions(
 def reduced(camera: Camera) -> Camera:
     """The camera with a picture whose longer side is SIDE, if it was longer."""
     s = min(1.0, SIDE / max(camera.width, camera.height))
-    width, height = max(1, round(camera.width * s)), max(1, round(camera.height * s))
-    sx, sy = width / camera.width, height / camera.height
-    return Camera(width, height, camera.fx * sx, camera.fy * sy, camera.cx * sx, camera.cy * sy, camera.world_to_camera)
+    return camera.resized(max(1, round(camera.width * s)), max(1, round(camera.height * s)))
 
 
 def needed(gaussians: Gaussians, cameras: Sequence[Camera], found: Contributions) -> np.ndarray:

@@ -52,17 +52,14 @@ def reduced(photograph: Photograph, divisor: int) -> Photograph:
     if divisor == 1:
         return photograph
     pixels, mask, camera, objects = photograph
-    width, height = camera.width, camera.height
-    size = (max(1, width // divisor), max(1, height // divisor))
+    size = (max(1, camera.width // divisor), max(1, camera.height // divisor))
     pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
     if objects is not None:
         there = np.unique(objects)
         shares = [cv2.resize((objects == k).astype(np.float32), size, interpolation=cv2.INTER_AREA) for k in there]
         objects = there[np.argmax(shares, axis=0)]
-    sx, sy = size[0] / width, size[1] / height
-    camera = Camera(*size, camera.fx * sx, camera.fy * sy, camera.cx * sx, camera.cy * sy, camera.world_to_camera)
-    return Photograph(pixels, mask, camera, objects)
+    return Photograph(pixels, mask, camera.resized(*size), objects)
 
 
 def load_photographs(

@@ -4,9 +4,19 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
+import trimesh
 
+from assets.formats.gltf import PIXELS_MAX, read_mesh, read_rig
+from assets.images import decode_image, read_image_header
+from assets.mesh_gaussians import read_triangle_mesh, texture_colours
+from assets.splat_files import read_gaussians, write_gaussians
 from tests.fuzz.mutations import BYTES, Files, inside_gzip, mutated_json, saved, several
+from tests.support import splat_encoders as encode
+from tests.support.glb import bar, packed
+from tests.support.samples import some_gaussians
+from tests.support.splat_encoders import sog_files
 
 
 def silent(line: str) -> None:
@@ -15,10 +25,6 @@ def silent(line: str) -> None:
 
 def splat_samples(suffix: str) -> Callable[[Path], list[Files]]:
     def samples(folder: Path) -> list[Files]:
-        from assets.splat_files import write_gaussians
-        from tests.support import splat_encoders as encode
-        from tests.support.samples import some_gaussians
-
         g = some_gaussians(14, 1)
         match suffix:
             case ".ply":
@@ -45,15 +51,10 @@ def splat_samples(suffix: str) -> Callable[[Path], list[Files]]:
 
 
 def unzipped_sog(folder: Path) -> list[Files]:
-    from tests.support.samples import some_gaussians
-    from tests.support.splat_encoders import sog_files
-
     return [sog_files(some_gaussians(14, 1), version) for version in (1, 2)]
 
 
 def read_splat(path: Path) -> None:
-    from assets.splat_files import read_gaussians
-
     read_gaussians(path, silent).check(str(path))
 
 
@@ -70,8 +71,6 @@ def inside_sog(rng: np.random.Generator, files: Files) -> Files:
 
 def mesh_samples(folder: Path) -> list[Files]:
     """A box in each of the formats of triangle meshes, one of them with a texture."""
-    import trimesh
-
     box = trimesh.creation.box()
     kinds = ("obj", "stl", "off", "ply", "glb")
     made = [box.export(file_type=kind, **({"encoding": "ascii"} if kind == "ply" else {})) for kind in kinds]
@@ -87,24 +86,18 @@ def mesh_samples(folder: Path) -> list[Files]:
 
 
 def read_mesh_file(path: Path) -> None:
-    from assets.mesh_gaussians import read_triangle_mesh, texture_colours
-
     for part in read_triangle_mesh(path):
         with np.errstate(all="ignore"):
             texture_colours(part, np.zeros(3, int), np.full((3, 3), 1 / 3), 0.01)
 
 
 def glb_samples(folder: Path) -> list[Files]:
-    from tests.support.glb import bar, packed
-
     builder, scene = bar()
     return [{"rig.glb": packed(json.dumps(scene).encode(), builder.binary)}]
 
 
 def inside_glb(rng: np.random.Generator, files: Files) -> Files:
     """The JSON or the buffer of a .glb mutated, in a sound container."""
-    from tests.support.glb import packed
-
     ((name, data),) = files.items()
     size = int.from_bytes(data[12:16], "little")
     text, binary = data[20 : 20 + size], data[28 + size :]
@@ -116,24 +109,17 @@ def inside_glb(rng: np.random.Generator, files: Files) -> Files:
 
 
 def read_skinned_glb(path: Path) -> None:
-    from assets.formats.gltf import read_mesh, read_rig
-
     rig, file = read_rig(path)
     read_mesh(file, len(rig.joints))
 
 
 def image_samples(folder: Path) -> list[Files]:
-    import cv2
-
     pixels = np.random.default_rng(0).integers(0, 255, (20, 30, 3), np.uint8)
     kinds = (".png", ".jpg", ".webp")
     return [{f"image{kind}": cv2.imencode(kind, pixels)[1].tobytes()} for kind in kinds]
 
 
 def read_image(path: Path) -> None:
-    from assets.formats.gltf import PIXELS_MAX
-    from assets.images import decode_image, read_image_header
-
     data = path.read_bytes()
     header = read_image_header(data)
     if header is not None and 0 < header.width * header.height <= PIXELS_MAX:

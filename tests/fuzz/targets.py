@@ -11,19 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.camera_file import read_cameras
+from display.study.questionnaire import read_answers_file
+from prepare.rig.landmarks import read_landmarks
 from tests.fuzz import hdf5_targets as hdf5
 from tests.fuzz import splat_targets as splats
 from tests.fuzz import text_targets as texts
 from tests.fuzz.hdf5_mutations import claim_text, inside_hdf5
-from tests.fuzz.mutations import (
-    BYTES,
-    JSON,
-    TEXT,
-    Files,
-    Mutation,
-    inside_zip,
-    several,
-)
+from tests.fuzz.mutations import BYTES, JSON, TEXT, Files, Mutation, inside_zip, several
 
 
 @dataclass(frozen=True)
@@ -71,6 +66,10 @@ def write(folder: Path, files: Files) -> None:
         (folder / name).write_bytes(data)
 
 
+def read_answers(path: Path) -> None:
+    read_answers_file(path, "now")
+
+
 HDF5: Callable[[Path], list[Mutation]] = lambda folder: [inside_hdf5(folder)]  # noqa: E731
 TARGETS = {
     target.name: target
@@ -90,15 +89,16 @@ TARGETS = {
         Target(
             "camera",
             texts.json_samples("cam.json", texts.CAMERA, [texts.CAMERA, texts.CAMERA]),
-            texts.read_camera_file,
+            read_cameras,
             lambda folder: JSON,
         ),
         Target(
-            "answers", texts.json_samples("answers.json", texts.ANSWERS), texts.read_questionnaire, lambda folder: JSON
+            "answers",
+            texts.json_samples("answers.json", texts.ANSWERS),
+            read_answers,
+            lambda folder: JSON,
         ),
-        Target(
-            "landmarks", texts.json_samples("l.json", texts.LANDMARKS), texts.read_landmark_file, lambda folder: JSON
-        ),
+        Target("landmarks", texts.json_samples("l.json", texts.LANDMARKS), read_landmarks, lambda folder: JSON),
         Target("state", hdf5.state_samples, hdf5.read_saved_state, HDF5),
         Target(
             "preferences",
@@ -112,8 +112,6 @@ TARGETS = {
         Target("capture", texts.capture_samples, texts.read_whole_capture, lambda folder: [texts.inside_capture]),
         Target("training", hdf5.training_samples, hdf5.read_training, HDF5),
         Target("image", splats.image_samples, splats.read_image),
-        Target(
-            "checkpoint", hdf5.checkpoint_samples, hdf5.read_checkpoint, lambda folder: [inside_zip(several(BYTES))]
-        ),
+        Target("checkpoint", hdf5.step_samples, hdf5.read_step, lambda folder: [inside_zip(several(BYTES))]),
     )
 }

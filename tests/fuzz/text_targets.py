@@ -9,7 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from core.errors import BadInput
+from core.vocabulary import Light
+from display.preferences import Bookmarks, PathText, Preferences
+from display.web.page_messages import read_message
+from prepare.train.capture_files import read_capture
+from prepare.train.photographs import load_photograph
 from tests.fuzz.mutations import BYTES, TEXT, Files, mutated_json, several
+from tests.prepare.test_captures import binary_model, text_model, transforms, write_images
+from tests.support.splat_encoders import ply_bytes
 
 
 def json_samples(name: str, *values) -> Callable[[Path], list[Files]]:
@@ -25,24 +33,6 @@ LANDMARKS = {
 }
 
 
-def read_camera_file(path: Path) -> None:
-    from assets.camera_file import read_cameras
-
-    read_cameras(path)
-
-
-def read_questionnaire(path: Path) -> None:
-    from display.study.questionnaire import read_answers_file
-
-    read_answers_file(path, "now")
-
-
-def read_landmark_file(path: Path) -> None:
-    from prepare.rig.landmarks import read_landmarks
-
-    read_landmarks(path)
-
-
 PREFERENCES = {
     "window.size": [800, 600],
     "window.place": [0, -20],
@@ -56,9 +46,6 @@ PREFERENCES = {
 
 def read_preferences(path: Path) -> None:
     """Read settings, and one of each kind; what is damaged is told and set aside, and the program goes on."""
-    from core.vocabulary import Light
-    from display.preferences import Bookmarks, PathText, Preferences
-
     with contextlib.redirect_stderr(io.StringIO()) as said:
         preferences = Preferences(path)
         for key, kind in (
@@ -88,9 +75,6 @@ MESSAGES = (
 
 
 def read_page_message(path: Path) -> None:
-    from core.errors import BadInput
-    from display.web.page_messages import read_message
-
     try:
         read_message(path.read_bytes().decode("utf-8", "surrogatepass"))
     except (BadInput, UnicodeDecodeError) as e:  # the server closes the connection
@@ -99,9 +83,6 @@ def read_page_message(path: Path) -> None:
 
 def capture_samples(folder: Path) -> list[Files]:
     """Photographs with a transforms.json, and COLMAP models as text and binary."""
-    from tests.prepare.test_captures import binary_model, text_model, transforms, write_images
-    from tests.support.splat_encoders import ply_bytes
-
     found = []
     for make in (None, text_model, binary_model):
         with tempfile.TemporaryDirectory() as place:
@@ -126,9 +107,6 @@ def inside_capture(rng: np.random.Generator, files: Files) -> Files:
 
 
 def read_whole_capture(path: Path) -> None:
-    from prepare.train.capture_files import read_capture
-    from prepare.train.photographs import load_photograph
-
     capture = read_capture(path if path.suffix == ".json" else path.parents[2])
     load_photograph(capture.views[0])
     assert np.isfinite([*capture.middle, capture.extent, *capture.up, *capture.upright().points.ravel()]).all()

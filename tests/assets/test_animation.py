@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -10,7 +9,7 @@ from numpy.testing import assert_allclose
 from assets import animation
 from assets.asset import Asset
 from core.errors import BadInput
-from tests.assets.test_asset import put, refused, some_asset
+from tests.assets.test_asset import edited, put, refused, some_asset
 
 
 def some_motion(frames: int = 12, seed: int = 0) -> animation.Animation:
@@ -134,11 +133,7 @@ def test_the_file_gives_back_what_it_was_given(tmp_path):
     ],
 )
 def test_a_damaged_motion_is_refused(tmp_path, edit, says):
-    path = tmp_path / "edited.h5"
-    replace(some_asset(), animation=some_motion()).save(path)
-    with h5py.File(path, "r+") as file:
-        edit(file)
-    assert says in refused(path)
+    assert says in refused(edited(tmp_path, edit, replace(some_asset(), animation=some_motion())))
 
 
 def test_a_motion_needs_a_cage(tmp_path):

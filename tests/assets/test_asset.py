@@ -47,10 +47,10 @@ def refused(path) -> str:
     return message
 
 
-def edited(tmp_path, edit):
+def edited(tmp_path, edit, asset: Asset | None = None, **options):
     """Path of a sound asset file on which `edit(h5py.File)` was let loose."""
     path = tmp_path / "edited.h5"
-    some_asset().save(path)
+    (asset or some_asset()).save(path, **options)
     with h5py.File(path, "r+") as file:
         edit(file)
     return path

@@ -10,10 +10,10 @@ import io
 import json
 import re
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -244,47 +244,18 @@ def entries(data: bytes) -> Files:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-@dataclass
-class Entry:
-    """An entry of a ZIP archive, as it is stored."""
-
-    name: str
-    packed: bytes
-    method: int
-    size: int
-    crc: int
-
-
-def entry(name: str, data: bytes, method: int = zipfile.ZIP_STORED) -> Entry:
-    """An honest entry."""
-    pack = zlib.compressobj(6, zlib.DEFLATED, -15)
-    packed = pack.compress(data) + pack.flush() if method == zipfile.ZIP_DEFLATED else data
-    return Entry(name, packed, method, len(data), zlib.crc32(data))
-
-
-def zipped(found: list[Entry]) -> bytes:
-    """A ZIP archive of entries, which may lie (APPNOTE.TXT, 4.3)."""
-    body, central = bytearray(), bytearray()
-    for e in found:
-        name = e.name.encode()
-        about = struct.pack("<5H3I2H", 20, 0, e.method, 0, 33, e.crc, len(e.packed), e.size, len(name), 0)
-        central += b"PK\1\2" + struct.pack("<H", 20) + about + struct.pack("<3H2I", 0, 0, 0, 0, len(body)) + name
-        body += b"PK\3\4" + about + name + e.packed
-    end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, len(found), len(found), len(central), len(body), 0)
-    return bytes(body + central + end)
-
-
-@functools.cache
-def zip_bomb() -> Entry:
-    """An entry that inflates to BOMB_BYTES."""
-    zeros, crc = bytes(1 << 20), 0
-    for _ in range(BOMB_BYTES >> 20):
-        crc = zlib.crc32(zeros, crc)
-    return Entry("", deflated_bomb(-15), zipfile.ZIP_DEFLATED, BOMB_BYTES, crc)
+def zipped(entries: list[tuple[str, bytes]], method: int) -> bytes:
+    """A ZIP archive, in which names may occur twice."""
+    buffer = io.BytesIO()
+    with warnings.catch_warnings(), zipfile.ZipFile(buffer, "w", method) as archive:
+        warnings.simplefilter("ignore", UserWarning)
+        for name, content in entries:
+            archive.writestr(name, content)
+    return buffer.getvalue()
 
 
 def inside_zip(inner: Mutation) -> Mutation:
-    """The files of a ZIP archive mutated, lost, doubled, renamed, or a bomb among them; checksums are honest."""
+    """The files of a ZIP archive mutated, lost, doubled, renamed, of another size, or a bomb; checksums are honest."""
 
     def mutation(rng: np.random.Generator, files: Files) -> Files:
         ((outer, data),) = files.items()
@@ -294,30 +265,25 @@ def inside_zip(inner: Mutation) -> Mutation:
             return several(BYTES)(rng, files)
         method = int(rng.choice([zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED]))
         name = list(found)[rng.integers(len(found))]
-        kind = rng.integers(20)
-        if kind > 4:
-            found = inner(rng, found)
-        stored = [entry(n, content, method) for n, content in found.items()]
-        if kind <= 4:
-            stored = changed_entries(rng, stored, name)
-        return {outer: zipped(stored)}
+        stored = list(found.items())
+        match rng.integers(20):
+            case 0:
+                stored.remove((name, found[name]))
+            case 1:
+                other = str(rng.choice(["../x", "/etc/passwd", "a\\b", name.upper(), "x/" + name]))
+                stored[stored.index((name, found[name]))] = (other, found[name])
+            case 2:
+                stored += [(name, found[name])] * int(rng.choice([1, 1000]))
+            case 3:
+                size = HARD_INTEGERS[rng.integers(len(HARD_INTEGERS))] % (1 << 32)
+                packed, honest = zipped(stored, method), len(found[name]).to_bytes(4, "little")
+                return {outer: packed.replace(honest, size.to_bytes(4, "little"))}
+            case 4:
+                bomb = zipped([(n, bytes(BOMB_BYTES) if n == name else c) for n, c in stored], zipfile.ZIP_DEFLATED)
+                size = int(rng.choice([BOMB_BYTES, 1000]))
+                return {outer: bomb.replace(BOMB_BYTES.to_bytes(4, "little"), size.to_bytes(4, "little"))}
+            case _:
+                stored = list(inner(rng, found).items())
+        return {outer: zipped(stored, method)}
 
     return mutation
-
-
-def changed_entries(rng: np.random.Generator, stored: list[Entry], name: str) -> list[Entry]:
-    """The entry of this name lost, renamed, doubled, lying about its size, or a bomb."""
-    k = next(i for i, e in enumerate(stored) if e.name == name)
-    match rng.integers(5):
-        case 0:
-            return stored[:k] + stored[k + 1 :]
-        case 1:
-            stored[k].name = str(rng.choice(["../x", "/etc/passwd", "a\\b", "", name.upper(), "x/" + name]))
-        case 2:
-            return stored + [stored[k]] * int(rng.choice([1, 1000]))
-        case 3:
-            stored[k].size = HARD_INTEGERS[rng.integers(len(HARD_INTEGERS))] % (1 << 32)
-        case _:
-            size = int(rng.choice([BOMB_BYTES, 1000, stored[k].size]))
-            stored[k] = replace(zip_bomb(), name=name, size=size)
-    return stored

@@ -3,11 +3,10 @@
 import json
 
 import numpy as np
-import pytest
 
 from core.camera import look_at, perspective, project
 from display.study.study_file import read_study
-from scenes import ring_toss, sandbox
+from scenes import ring_toss
 from tests.support.watched import Watched
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
@@ -86,34 +85,3 @@ def reset_and_quit(play, screen) -> None:
     assert play.until(lambda f: f["paused"])
     screen.key("Escape")
     assert play.process.wait(60) == 0
-
-
-@pytest.mark.long
-def test_two_points_and_a_length_set_the_size_of_a_body(tmp_path):
-    """K, two clicks on the ring's rim, then first no length and then one: it is as large, until undone."""
-    options = ["--scene", "sandbox", "--arch", "cpu", "--size", f"{WIDTH}x{HEIGHT}"]
-    scene = sandbox.build()
-    camera = perspective(WIDTH, HEIGHT, scene.fov_y, look_at(scene.eye, scene.target))
-    with XServer(640, 480) as screen:
-        play = Watched("watched_play.py", tmp_path, *options, env=screen.env)
-        try:
-            screen.wait_for_window("VR-GS: sandbox", seconds=60)
-            start = play.until(lambda f: f["time"] > 0.5, seconds=240)["bodies"][0]
-            screen.key("F1")
-            play.after(10)
-            screen.key("k")
-            play.after(10)
-            for side in (-0.44, 0.44):
-                screen.click(*project(camera, np.array(start["centroid"]) + [side * start["size"][0], 0.0, 0.0]))
-                play.after(10)
-            play.eventually(lambda: screen.pixels()[90:100, 60:90].mean() < 60)  # the dialog is there
-            play.after(25)  # and has the keyboard
-            screen.do("type", "--delay", 150, "40 cm")
-            play.after(25)
-            screen.key("Return")
-            rescaled = play.until(lambda f: f["bodies"][0]["size"][0] > 1.5 * start["size"][0])["bodies"][0]
-            assert rescaled["size"][0] == pytest.approx(0.40 / 0.88, rel=0.15)
-            screen.do("key", "ctrl+z")
-            play.until(lambda f: f["bodies"][0]["size"][0] < 1.1 * start["size"][0])
-        finally:
-            play.close()

@@ -12,14 +12,13 @@ import argparse
 import gc
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from assets.file_access import check_writable, write_json
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.vocabulary import Hand, Light
@@ -48,7 +47,6 @@ class RandomPlayer:
         self.rng = np.random.default_rng(seed)
         self._left = 0  # frames of the gesture
         self._at, self._step = np.zeros(3), np.zeros(3)
-        self.done: dict[str, int] = {}  # commands by name
 
     def hands(self, world) -> list[Hand]:
         """A hand that takes a body, drags it along and lets it go in motion; then another body."""
@@ -69,14 +67,9 @@ class RandomPlayer:
         if rng.random() > COMMANDS_PER_FRAME:
             return []
         if world.paused or world.demo:  # rarely for long
-            chosen = [user_commands.Pause(False), user_commands.SingleStep(), user_commands.PlayDemo(False)][
-                rng.integers(3)
-            ]
-        else:
-            chosen = self._command(world)
-        name = type(chosen).__name__
-        self.done[name] = self.done.get(name, 0) + 1
-        return [chosen]
+            ends = (user_commands.Pause(False), user_commands.SingleStep(), user_commands.PlayDemo(False))
+            return [ends[rng.integers(len(ends))]]
+        return [self._command(world)]
 
     def _command(self, world) -> Command:
         rng, count = self.rng, len(world.bodies())
@@ -174,26 +167,18 @@ def fitted_rise(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     return float(slope), float(np.sqrt((left**2).sum() / (BLOCKS - 2) / ((xs - xs.mean()) ** 2).sum()))
 
 
-def summary(notes: list[Note]) -> dict:
-    """Rates of growth [MB/h] and [objects/h], with standard errors, after the warm-up. Raises BadInput if too short."""
+def summary(notes: list[Note]) -> tuple[float, float]:
+    """Rate of growth [MB/h] after the warm-up and its standard error, printed too. Raises BadInput if too short."""
     kept = notes[round(WARM_UP * len(notes)) :]
     if len(kept) < 2 * BLOCKS:
         raise BadInput(f"{len(notes)} notes of memory are too few to fit a rate: play for some minutes")
     hours = np.array([n.seconds for n in kept]) / 3600
     rate, error = fitted_rise(hours, np.array([n.resident for n in kept]))
-    undo, _ = fitted_rise(hours, np.array([n.undo for n in kept]))
     objects, objects_error = fitted_rise(hours, np.array([float(n.objects) for n in kept]))
-    return {
-        "frames": kept[-1].frames - kept[0].frames,
-        "hours": float(hours[-1] - hours[0]),
-        "resident_mb": kept[-1].resident,
-        "undo_mb": kept[-1].undo,
-        "mb_per_hour": rate,
-        "mb_per_hour_error": error,
-        "undo_mb_per_hour": undo,
-        "objects_per_hour": objects,
-        "objects_per_hour_error": objects_error,
-    }
+    print(
+        f"{rate:.1f} ± {error:.1f} MB/h over {hours[-1] - hours[0]:.2f} h, {HOURS * rate:.0f} MB in {HOURS:.0f} h; {objects:.0f} ± {objects_error:.0f} Python objects/h"
+    )
+    return rate, error
 
 
 def main() -> int:
@@ -202,28 +187,21 @@ def main() -> int:
     p.add_argument("--scene", default="ring_toss", metavar="NAME")
     p.add_argument("--body", metavar="ASSET", help="for scenes that take one: ball is quick")
     p.add_argument("--switch", type=float, default=np.inf, metavar="S", help="open the scene anew every S seconds")
-    p.add_argument("--bare", action="store_true", help="without the room's Gaussians: more frames in the time")
     p.add_argument("--minutes", type=float, default=40.0, help="of wall time (default 40)")
     p.add_argument("--seed", type=int, default=1)
-    p.add_argument("--json", type=Path, metavar="OUT.json", help="write the notes and the rates")
     p.add_argument("--arch", choices=("cuda", "cpu"))
     args = p.parse_args()
     from core.runtime import start_taichi
     from scenes import registry
 
     try:
-        if args.json:
-            check_writable(args.json)
         notes, player = [], RandomPlayer(args.seed)
 
         def make() -> World:
             start_taichi(args.arch, args.seed)
             from display.world import World
 
-            scene = registry.load(args.scene, body=args.body)
-            if args.bare:
-                scene = replace(scene, bodies=[b for b in scene.bodies if b.material is not None])
-            world = World(scene, width=SIZES[0][0], height=SIZES[0][1])
+            world = World(registry.load(args.scene, body=args.body), width=SIZES[0][0], height=SIZES[0][1])
             world.warm_up()
             return world
 
@@ -236,18 +214,11 @@ def main() -> int:
             )
 
         play(make, player, 60 * args.minutes, note, args.switch)
-        found = summary(notes)
-        if args.json:
-            write_json(args.json, found | {"commands": player.done, "notes": [vars(n) for n in notes]})
+        rate, error = summary(notes)
     except BadInput as e:
         print(f"vrgs: {e}", file=sys.stderr)
         return 2
-    print(
-        f"{found['mb_per_hour']:.1f} ± {found['mb_per_hour_error']:.1f} MB/h over {found['hours']:.2f} h and "
-        f"{found['frames']} frames, {HOURS * found['mb_per_hour']:.0f} MB in {HOURS:.0f} h; "
-        f"{found['objects_per_hour']:.0f} ± {found['objects_per_hour_error']:.0f} Python objects/h"
-    )
-    return int(HOURS * (found["mb_per_hour"] - 2 * found["mb_per_hour_error"]) > RISE_MAX)
+    return int(HOURS * (rate - 2 * error) > RISE_MAX)
 
 
 if __name__ == "__main__":

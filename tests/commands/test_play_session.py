@@ -22,6 +22,7 @@ from sim.model import CapacityError
 from tests.support.fake_view import FakeView
 from tests.support.leaning_room import leaning_room
 from tests.support.shells import ball
+from tests.support.waiting import until
 
 
 class NamedScene(str):
@@ -223,13 +224,6 @@ def endless(path, room, arch, reports) -> None:
 
 def broken(path, room, arch, reports) -> None:
     sys.exit(3)
-
-
-def until(condition, seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def test_a_preparation_tells_its_progress_and_why_it_failed(preparing):

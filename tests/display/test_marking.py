@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from display.mark.mark_edit import MarkEdit
 from display.mark.mark_window import PlacedPicture
 from tests.prepare.test_splat_segmentation import balls_on_a_floor
 from tests.support.painted_capture import write_capture
+from tests.support.waiting import until
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
 PROGRAM = Path(__file__).resolve().parents[2] / "vrgs.py"
@@ -118,13 +118,6 @@ def test_a_window_that_is_left_leaves_no_folder(tmp_path, monkeypatch):
         with pytest.raises(Cancelled):
             segment.take_objects(segment.SegmentOptions(capture=tmp_path / "a.ply", out=tmp_path / out, arch="cpu"))
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
-
-
-def until(holds, seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end, "it never came"
-        time.sleep(0.05)
 
 
 @contextmanager

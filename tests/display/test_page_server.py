@@ -4,7 +4,6 @@ import contextlib
 import http.client
 import json
 import socket
-import time
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -17,6 +16,7 @@ from display.web import page_server
 from display.web.browser import encode
 from display.web.page_server import PageServer, listen
 from tests.support.page_client import PageClient, socket_address
+from tests.support.waiting import until
 
 GREY = np.full((90, 160, 4), 128, np.uint8)
 
@@ -35,13 +35,6 @@ def answer(server, path: str, **headers) -> tuple[int, bytes]:
         connection.request("GET", path, headers=headers)
         response = connection.getresponse()
         return response.status, response.read()
-
-
-def wait(condition, seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def test_the_page_is_whole_and_asks_nothing_of_the_network(server):
@@ -80,11 +73,11 @@ def test_the_first_page_plays_another_may_take_over_and_the_next_one_follows(ser
         first.send("wheel", 2, 5)
         first.send("move", 0.1, 0.2, 6)
         first.send("move", 0.3, 0.4, 7)  # of moves the last one counts
-        wait(lambda: len(server._events) == 2 and server._events[-1][1] == 0.3)
+        until(lambda: len(server._events) == 2 and server._events[-1][1] == 0.3)
         assert server.take() == [("wheel", 2.0), ("move", 0.3, 0.4)]
 
         first.send("wheel", 3, 8)  # sent before, and not to be carried out after
-        wait(lambda: server._events)
+        until(lambda: server._events)
         second.send("take")
         first.until(lambda: first.state["role"] == "watch")
         second.until(lambda: second.state["role"] == "play")
@@ -92,7 +85,7 @@ def test_the_first_page_plays_another_may_take_over_and_the_next_one_follows(ser
         second.socket.close()
         first.until(lambda: first.state["role"] == "play" and first.state["pages"] == 1)
         assert server.take() == [("left",)]
-    wait(lambda: server.player is None and not server.watched)
+    until(lambda: server.player is None and not server.watched)
 
 
 @pytest.mark.parametrize("message", ["nonsense", '["shown", 99, null]', b"\x00", "x" * 5000])
@@ -120,7 +113,7 @@ def test_a_flood_closes_its_connection(server):
 def test_there_is_room_for_some_pages_and_no_more(server, monkeypatch):
     monkeypatch.setattr(page_server, "MAX_PAGES", 2)
     with PageClient(server.address), PageClient(server.address):
-        wait(lambda: len(server.flows) == 2)
+        until(lambda: len(server.flows) == 2)
         with pytest.raises(InvalidStatus, match="503"):
             PageClient(server.address)
 
@@ -146,14 +139,14 @@ def test_a_picture_goes_out_once_then_in_full_quality_and_only_as_answers_come(s
         assert page.during(0.2) == 0  # the first one is not answered yet
         page.answers = True
         page.send("shown", page.pictures[0][0]["n"], 20.0)
-        wait(lambda: server.player.flow.ready)
+        until(lambda: server.player.flow.ready)
         server.show(3, [], lambda: GREY, still=False)
         page.until(lambda: len(page.pictures) == 2)
-        wait(lambda: server.player.flow.ready)
+        until(lambda: server.player.flow.ready)
         server.show(3, [], lambda: GREY, still=False)  # it has that
         server.show(3, [[0.5, 0.5]], lambda: GREY, still=True)
         page.until(lambda: len(page.pictures) == 3)
-        wait(lambda: server.player.flow.ready)
+        until(lambda: server.player.flow.ready)
         server.show(3, [], lambda: GREY, still=True)  # other strokes alone: no picture
         page.until(lambda: page.state.get("overlay") == [])
         assert len(page.pictures) == 3

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -13,6 +12,7 @@ import vrgs
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
 from display.viewed_file import ViewedFile, camera_around, middle_and_radius
+from tests.support.waiting import until
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
 PROGRAM = Path(__file__).resolve().parents[2] / "vrgs.py"
@@ -123,38 +123,29 @@ def test_the_window_turns_with_the_mouse_measures_and_closes(file, tmp_path):
             screen.wait_for_window("ball.ply", seconds=60)
 
             def becomes(x, check):
-                end = time.monotonic() + 30
-                while time.monotonic() < end:
-                    if check(screen.pixels()[145:155, x : x + 10].astype(int).mean((0, 1))):
-                        return True
-                    time.sleep(0.1)
-                return False
+                until(lambda: check(screen.pixels()[145:155, x : x + 10].astype(int).mean((0, 1))))
 
             def crossed(y, there):
-                end = time.monotonic() + 60
-                while time.monotonic() < end:
+                def seen():
                     near = screen.pixels()[y - 6 : y + 7, 194:207].reshape(-1, 3).astype(int)
-                    if (np.abs(near - CROSS).sum(axis=1) < 150).any() == there:
-                        return True
-                    time.sleep(0.1)
-                return False
+                    return (np.abs(near - CROSS).sum(axis=1) < 150).any() == there
 
-            assert becomes(310, lambda c: c[0] - c[1] > 80), "its right side is red"
+                until(seen, what="a cross where it was clicked" if there else "the end of the question")
+
+            becomes(310, lambda c: c[0] - c[1] > 80)  # its right side is red
             screen.key("F1")  # the panel is over it
-            assert becomes(120, lambda c: c.min() > 180), "its left side is white"
+            becomes(120, lambda c: c.min() > 180)  # its left side is white
             screen.drag((330, 250), (190, 250))
-            assert becomes(120, lambda c: c[0] - c[1] > 80), "its red side did not come round"
+            becomes(120, lambda c: c[0] - c[1] > 80)  # its red side came round
             screen.key("k")
             for y in (90, 125):  # above the dialog
                 screen.click(200, y)
-                assert crossed(y, True), "no cross where it was clicked"
+                crossed(y, True)
             screen.key("2")  # the two points are 2 m apart
             screen.key("Return")
-            assert crossed(90, False), "the question is still there"
+            crossed(90, False)
             screen.key("o")
-            end = time.monotonic() + 30
-            while not out.exists() and time.monotonic() < end:
-                time.sleep(0.1)
+            until(out.exists)
             screen.key("Escape")
             assert process.wait(30) == 0
         finally:

@@ -176,7 +176,8 @@ def summary(notes: list[Note]) -> tuple[float, float]:
     rate, error = fitted_rise(hours, np.array([n.resident for n in kept]))
     objects, objects_error = fitted_rise(hours, np.array([float(n.objects) for n in kept]))
     print(
-        f"{rate:.1f} ± {error:.1f} MB/h over {hours[-1] - hours[0]:.2f} h, {HOURS * rate:.0f} MB in {HOURS:.0f} h; {objects:.0f} ± {objects_error:.0f} Python objects/h"
+        f"{rate:.1f} ± {error:.1f} MB/h over {hours[-1] - hours[0]:.2f} h, "
+        f"{HOURS * rate:.0f} MB in {HOURS:.0f} h; {objects:.0f} ± {objects_error:.0f} Python objects/h"
     )
     return rate, error
 

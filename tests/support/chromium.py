@@ -15,16 +15,16 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
 
+from tests.support.waiting import PATIENCE, until
+
 PROGRAM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 NEEDS_CHROMIUM = pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
-PATIENCE = 60.0  # [s]
 
 
 class Chromium:
@@ -144,11 +144,3 @@ class Tab:
         """Press and release a key, by KeyboardEvent's key and code."""
         for kind in ("rawKeyDown", "keyUp"):
             self.do("Input.dispatchKeyEvent", type=kind, key=key, code=code, modifiers=2 if ctrl else 0)
-
-
-def until(condition: Callable[[], object], seconds: float = PATIENCE, what: str = "") -> None:
-    """Wait until a condition holds."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, f"not in time: {what}"
-        time.sleep(0.05)

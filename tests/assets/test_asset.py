@@ -1,5 +1,6 @@
 """The asset file: round trip, every check, and writing in one step."""
 
+import functools
 from dataclasses import replace
 
 import h5py
@@ -10,6 +11,8 @@ from assets.asset import Asset, Cage, CageEmbedding
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
+from tests.fuzz.hdf5_mutations import put as replace_dataset
+from tests.support import samples
 from tests.support.samples import FIELDS, some_gaussians
 
 MATERIAL = Material(young=5e4, poisson=0.4, density=1100.0, friction=0.5)
@@ -38,13 +41,7 @@ def test_a_dataset_that_nothing_reads_does_no_harm(tmp_path):
     assert len(Asset.load(path).gaussians) == 20
 
 
-def refused(path) -> str:
-    """The one line with which loading the file is refused."""
-    with pytest.raises(BadInput) as error:
-        Asset.load(path)
-    message = str(error.value)
-    assert str(path) in message and "\n" not in message
-    return message
+refused = functools.partial(samples.refused, read=Asset.load)
 
 
 def edited(tmp_path, edit, asset: Asset | None = None, **options):
@@ -59,13 +56,7 @@ def edited(tmp_path, edit, asset: Asset | None = None, **options):
 def put(name: str, values, **options):
     """An edit that replaces a dataset."""
 
-    def edit(file):
-        attributes = dict(file[name].attrs) if name in file else {}
-        if name in file:
-            del file[name]
-        file.create_dataset(name, data=values, **options).attrs.update(attributes)
-
-    return edit
+    return lambda file: replace_dataset(file, name, values, **options)
 
 
 def test_round_trip(tmp_path):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-from pathlib import Path
 from types import SimpleNamespace as N
 
 import h5py
@@ -26,7 +25,6 @@ from display.record.replay import Replay, fitted
 from display.timing import Timings
 from tests.support.fake_world import fake_scene
 
-ROOT = Path(__file__).resolve().parents[2]
 CAMERA = perspective(64, 48, 0.9, look_at((0, 1, 2), (0, 0, 0)))
 
 
@@ -60,9 +58,6 @@ def some_frames(count=200, dt=1 / 90):
         cameras = [dataclasses.replace(CAMERA, cx=30.0 + 0.01 * k)] * (k % 3)
         frames.append(Frame(dt, dt * (k + 1), cameras, hands, commands, max_step=None if k % 2 else 1 / 90))
     return frames
-
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def record(path, frames, world=None, close=True):

@@ -23,7 +23,6 @@ from display.study.trial import MIXED, Trial
 from display.user_commands import PlayDemo, Reset
 from vrgs import main
 
-ROOT = Path(__file__).resolve().parents[2]
 DT = 0.1  # [s]
 AWAY = np.array([0.3, 0.0, 0.4])  # [m], 0.5 long
 

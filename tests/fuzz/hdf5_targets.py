@@ -20,9 +20,10 @@ from display.study.study_file import Study, read_study, write_study
 from prepare.progress import Checkpoints, arrays_of, gaussians_of
 from prepare.train.trainer import read_checkpoint, write_checkpoint
 from tests.display.test_recording import as_version_3, record, some_frames
+from tests.display.test_study import some_study
 from tests.fuzz.mutations import Files, saved
 from tests.fuzz.sample_assets import moving_body, some_stage
-from tests.fuzz.sample_plays import SomeGame, record_some, some_state, some_study
+from tests.fuzz.sample_plays import SomeGame, record_some, some_state
 from tests.support.samples import some_gaussians
 
 

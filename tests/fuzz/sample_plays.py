@@ -9,9 +9,6 @@ from core.vocabulary import Hand, Light
 from display.keep.scene_state import game_state
 from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Settings
 from display.record.recording import Recording
-from display.study.questionnaire import QUESTIONS, Answers
-from display.study.study_file import Study
-from display.study.trial import Trial
 from display.user_commands import Duplicate, Pause, Rescale, Rotate, SetInteraction, SetLight, SetMaterial, Undo
 from sim.hands.grasp import Grasp, GraspState
 from tests.display.test_recording import Ball, some_frames
@@ -29,18 +26,6 @@ def record_some(path: Path) -> None:
             frame.commands = COMMANDS[k : k + 2]
             world.step(recording.note(frame))
             recording.after(world)
-
-
-def some_study() -> Study:
-    trials = [
-        Trial("Ida", "ring_toss", setting, "window", "2025-01-01T10:00:00", {"options": {}}, 30.0 + k, 2.0, 3.0,
-              bool(k), 5, 3, 2.5, 1.5, 900, np.array([[0.0, 0.0], [4.0, k]]))
-        for k, setting in enumerate(("physics", "transform", "physics"))
-    ]  # fmt: skip
-    answers = [
-        Answers("Ida", setting, tuple(range(len(QUESTIONS))), "well", "now") for setting in ("physics", "transform")
-    ]
-    return Study(trials, answers)
 
 
 class SomeGame:

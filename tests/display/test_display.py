@@ -80,14 +80,6 @@ def test_timings_tell_the_first_run_apart():
     assert timings.latest("render", "once", "never") == pytest.approx(timings._samples["render"][-1] + 0.5)
 
 
-def test_recent_timings_forget_what_is_long_ago():
-    timings = Timings()
-    for seconds in [0.1] * 50 + [0.001] * 200:
-        timings.add("render", seconds)
-    assert timings.recent()[0][2] == pytest.approx(1.0)
-    assert timings.as_dict()["render"]["worst_ms"] == pytest.approx(100.0)
-
-
 def test_the_recent_frame_rate_is_that_of_the_last_second():
     timings = Timings()
     assert timings.recent_fps() == 0

@@ -115,8 +115,6 @@ def test_sandbox_takes_a_splat_that_stands_on_its_head(tmp_path, shared):
     ("args", "says"),
     [
         (["--scene", "nowhere"], "no scene named 'nowhere'"),
-        (["--scene", "ring_toss", "--body", "cat.ply"], "cat.ply: no such file"),
-        (["--scene", "sandbox", "--body", "README.md", "--headless"], "README.md"),
         (["--up", "+y"], "--up"),
         (["--headless", "--record", "/nonexistent/film.mp4"], "/nonexistent"),
         (["render", "nothing.ply", "--camera", "c.json", "--out", "a.png"], "c.json"),

@@ -14,7 +14,7 @@ from core.errors import BadInput
 from display import user_commands
 from display.panel import crop_sliders
 from display.protocol import Frame, Line
-from display.viewed_file import UP_AXES, ViewedFile, scene_around
+from display.viewed_file import UP_AXES, ViewedFile, bounds_of, scene_around
 from display.viewer import BACKGROUNDS, Viewer
 from display.window.overlay import visible_part
 
@@ -38,7 +38,7 @@ def file(tmp_path) -> ViewedFile:
 
 def test_turning_goes_through_all_axes_about_the_middle(file):
     moved = replace(file, gaussians=file.gaussians.transformed(np.eye(3), (5.0, 0.0, 0.0)))
-    extents, turned = [], ViewedFile(moved.path, moved.gaussians, "+y", "", replace_bounds(moved))
+    extents, turned = [], ViewedFile(moved.path, moved.gaussians, "+y", "", bounds_of(moved.gaussians))
     first = turned.gaussians.means
     for k in range(6):
         assert turned.up == UP_AXES[k]
@@ -48,12 +48,6 @@ def test_turning_goes_through_all_axes_about_the_middle(file):
         assert np.allclose(0.5 * (turned.bounds.low + turned.bounds.high), middle, atol=1e-4)
     assert np.allclose(extents, [2, 2, 3, 3, 1, 1], rtol=0.05)
     assert turned.up == "+y" and np.allclose(turned.gaussians.means, first, atol=1e-4)
-
-
-def replace_bounds(file: ViewedFile):
-    from display.viewed_file import bounds_of
-
-    return bounds_of(file.gaussians)
 
 
 def test_a_crop_leaves_what_lies_in_it_and_is_written(file, tmp_path):

@@ -236,10 +236,6 @@ def open_display(scene: Scene, args):
     return Window(scene, title="Ball", width=args.size[0], height=args.size[1])
 
 
-def name_of(command) -> str:
-    return command.key or type(command).__name__
-
-
 def record(frame, world) -> dict:
     """One frame for the log."""
     hand = frame.hands[0] if frame.hands else None
@@ -254,7 +250,7 @@ def record(frame, world) -> dict:
         "ball": world.ball.tolist(),
         "speed": float(np.linalg.norm(world.velocity)),
         "held": world.offset is not None,
-        "commands": {name_of(c): vars(c).get("mode", vars(c).get("on", True)) for c in frame.commands},
+        "commands": {c.key or type(c).__name__: vars(c).get("mode", vars(c).get("on", True)) for c in frame.commands},
         "paused": world.paused,
         "interaction": world.interaction,
         "steps": world.steps,

@@ -4,7 +4,7 @@ with XServer(1280, 800) as screen:
     process = subprocess.Popen(command, env=screen.env)
     window = screen.wait_for_window("Ball")
     screen.drag((400, 300), (500, 250))
-    screen.screenshot(path)
+    screen.pixels()
 """
 
 from __future__ import annotations
@@ -101,11 +101,7 @@ class XServer:
     def mouse_move(self, x: float, y: float) -> None:
         self.do("mousemove", round(x), round(y))
 
-    def mouse_down(self, button: int = 1) -> None:
-        """1 left, 2 middle, 3 right."""
-        self.do("mousedown", button)
-
-    def mouse_up(self, button: int = 1) -> None:
+    def mouse_up(self, button: int = 1) -> None:  # 1 left, 2 middle, 3 right
         self.do("mouseup", button)
 
     def click(self, x: float, y: float) -> None:
@@ -151,11 +147,3 @@ class XServer:
         begin = size + 12 * colours
         rows = np.frombuffer(data[begin : begin + row * height], np.uint8).reshape(height, row)
         return rows[:, : 4 * width].reshape(height, width, 4)[..., 2::-1].copy()  # stored as BGRX
-
-    def screenshot(self, path) -> np.ndarray:
-        """Save the whole screen as a PNG and return its pixels, (H, W, 3) uint8 RGB."""
-        import cv2
-
-        pixels = self.pixels()
-        assert cv2.imwrite(str(path), pixels[..., ::-1])
-        return pixels

@@ -9,8 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.physics import at_most, row, tet_energies
-from bench.sample_meshes import box, torus
+from bench.physics import at_most, box, row, tet_energies, torus
 from core.material import Material
 from core.vocabulary import Capsule, Hand, Plane
 from sim.bodies import RigidBody, SoftBody

@@ -14,7 +14,7 @@ from time import perf_counter
 import numpy as np
 import taichi as ti
 
-from bench.sample_meshes import box
+from bench.physics import box
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material

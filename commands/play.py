@@ -180,7 +180,7 @@ def open_sound(options: PlayOptions, preferences: Preferences):
     heard = not options.headless and options.web is None
     if options.sound == "off" or not (heard or options.record):
         return contextlib.nullcontext()
-    from display.sound.sound import Sound
+    from display.sound import Sound
 
     return Sound(film=options.record, heard=heard, asked=options.sound == "on", preferences=preferences)
 

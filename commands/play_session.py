@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from display.preferences import Preferences
     from display.record.recording import Recording
     from display.record.replay import Replay
-    from display.sound.sound import Sound
+    from display.sound import Sound
     from display.study.study_file import StudyLog
     from display.world import World, WorldSnapshot
     from scenes.scene import Scene

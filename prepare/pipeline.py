@@ -36,9 +36,8 @@ from prepare.cage.filling import DENSE, density_of, solid_cells
 from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, volume_of
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.cleaning import clean, clean_components
-from prepare.own_weight import suitable_material
 from prepare.progress import Checkpoints, Progress, arrays_of, gaussians_of, no_progress
-from prepare.standing import flap_of
+from prepare.standing import flap_of, suitable_material
 
 VERSION = 10  # of the pipeline's results; raise it when the same splat would give another asset
 
@@ -55,7 +54,7 @@ class Options:
     vertices  of the cage, met within 15 %
     scale     largest extent [m]; None: the file's if a hand could hold that, else 0.25
     up        axis of the file that points up, "+x" to "-z"; None: guessed
-    material  a name of core.material; None: plush, stiffened where the shape needs it (prepare/own_weight.py)
+    material  a name of core.material; None: plush, stiffened where the shape needs it (prepare/standing.py)
     mesher    a name of component_cages.MESHERS; stuffing makes the cage where another fails
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     pieces    a cage for each connected component of the splat, all in one asset; False: the largest alone

@@ -17,7 +17,7 @@ from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from core.report import png_of
 from core.runtime import running_arch
-from prepare import own_weight
+from prepare import standing
 from prepare.cage.cage_generation import NoSoundCage
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
 from prepare.pipeline import STEPS, VERSION, Options, prepare
@@ -177,7 +177,7 @@ def summary(provenance: dict) -> list[str]:
         f"cage: {figures['vertices']} vertices, {figures['tets']} tets in {figures['cells']} cells, smallest angle "
         f"{figures['min_dihedral']:.1f} degrees, volume {1e6 * figures['volume']:.4g} cm^3",
         f"inside the cage: {figures['inside']:.2%} of the opaque Gaussians; {figures['seconds']:.1f} s",
-        *([own_weight.described(provenance["material"])] if "material" in provenance else ()),
+        *([standing.described(provenance["material"])] if "material" in provenance else ()),
         *(described(animation) if animation else ()),
     ]
 

@@ -22,10 +22,9 @@ from core.errors import BadInput
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
 from core.tetmesh import tet_volumes
 from prepare.cage.cage_generation import NoSoundCage
-from prepare.own_weight import holds_centre, liftable, steady
 from prepare.pipeline import Options, prepare
 from prepare.progress import Progress, no_progress
-from prepare.standing import resting_normal
+from prepare.standing import holds_centre, liftable, resting_normal, steady
 
 TOUCH = 0.06  # object sizes: a gap up to this is contact
 NEIGHBOURS = 6  # nearest Gaussians of the rest tested for each of the object's

@@ -8,7 +8,7 @@ from assets.asset import Asset, Cage
 from assets.gaussians import Gaussians
 from bench import bar_figures, render_speed
 from bench import render_speed as rooms
-from bench.sample_meshes import random_gaussians, tet_bar
+from bench.physics import random_gaussians, tet_bar
 from core.tetmesh import boundary_surface
 
 

@@ -17,9 +17,19 @@ from core.vocabulary import BodyState
 from display.headless.video import Video
 from display.preferences import Preferences
 from display.protocol import Frame
-from display.sound.body_sound import RATE, Impacts, body_modes, waveform
-from display.sound.mixer import LOUD, VOICES, AudioDevice, Mixer
-from display.sound.sound import Sound, SoundTrack, heard_from
+from display.sound import (
+    LOUD,
+    RATE,
+    VOICES,
+    AudioDevice,
+    Impacts,
+    Mixer,
+    Sound,
+    SoundTrack,
+    body_modes,
+    heard_from,
+    waveform,
+)
 from display.user_commands import Reset, SetSound
 
 G = (0.0, -9.81, 0.0)

@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 
 from assets.asset import Cage
 from assets.gaussians import Gaussians
-from bench.sample_meshes import box
+from bench.physics import box
 from core.distance_grid import DistanceGrid
 from core.tetmesh import boundary_surface
 from prepare.rig.body_segmentation import Segments, Solid, cut, held_by_hands, inner_and_boundary_faces, split_vertices

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.sample_meshes import random_gaussians, tet_bar
+from bench.physics import random_gaussians, tet_bar
 from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
 from prepare.cage.embedding_hosts import DeviceLocator, embed, fraction_inside

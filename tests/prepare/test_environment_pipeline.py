@@ -152,7 +152,7 @@ def test_the_drop_is_free_and_the_user_sees_it(scene):
 
 def test_a_ball_dropped_there_lies_on_the_table(scenes, tmp_path):
     """The sandbox's own bodies and colliders; a soft ball from 8 cm bounces and stays. One scene lies 50 m away."""
-    from bench.sample_meshes import box
+    from bench.physics import box
     from core.material import Material
     from display.scene_bodies import place_static
     from sim.bodies import SoftBody

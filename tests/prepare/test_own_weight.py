@@ -7,7 +7,7 @@ import pytest
 
 from core.material import MATERIALS
 from core.tetmesh import box_mesh
-from prepare.own_weight import bearing_modulus, described, rounded_up, suitable_material
+from prepare.standing import bearing_modulus, described, rounded_up, suitable_material
 
 PLUSH = MATERIALS["plush"]
 G = 9.81
@@ -47,7 +47,7 @@ def test_it_grows_with_the_cube_of_the_slenderness_and_with_the_size():
 def test_iteration_and_elimination_agree(monkeypatch):
     x, tets = column(0.05, 0.3, 4)
     direct = bearing_modulus(x, tets, PLUSH)
-    monkeypatch.setattr("prepare.own_weight.DIRECT_SIZE", 0)
+    monkeypatch.setattr("prepare.standing.DIRECT_SIZE", 0)
     assert bearing_modulus(x, tets, PLUSH) == pytest.approx(direct, rel=1e-2)
 
 

@@ -10,14 +10,13 @@ from assets.asset import Asset, Cage
 from assets.environment import Environment
 from assets.gaussians import Gaussians, concatenate
 from assets.room_folder import RoomObject
-from bench.sample_meshes import box
+from bench.physics import box
 from commands.capture_room import parsed_length, parsed_point
 from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import MATERIALS
 from prepare.inpaint.inpaint_pipeline import NoSurface
-from prepare.own_weight import bent_by_weight, liftable, steady
 from prepare.progress import no_progress
 from prepare.room_capture import stages as stages_module
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
@@ -25,6 +24,7 @@ from prepare.room_capture.contributions import contributions, needed
 from prepare.room_capture.objects import base_of, object_files, seated, support_of, without_solid
 from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, inpainted, without_objects
 from prepare.room_capture.stages import Stages, source_digest
+from prepare.standing import bent_by_weight, liftable, steady
 from sim.contact.contact_samples import skin_depth, surface_points
 from tests.support.samples import discs
 

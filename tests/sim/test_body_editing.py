@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from taichi.lang import impl
 from taichi.lang.kernel_impl import Kernel
 
-from bench.sample_meshes import box
+from bench.physics import box
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Box, Hand

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.physics import box, torus
 from bench.physics_contact import resting_pile, run, winding_number
-from bench.sample_meshes import box, torus
 from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import tet_volumes

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.physics import box, torus
 from bench.physics_contact import run
-from bench.sample_meshes import box, torus
 from core.material import Material
 from core.vocabulary import Capsule
 from sim.bodies import SoftBody

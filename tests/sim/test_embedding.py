@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from assets.asset import CageEmbedding
 from assets.gaussians import Gaussians
-from bench.sample_meshes import random_gaussians, tet_bar
+from bench.physics import random_gaussians, tet_bar
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from tests.support.reference_embedding import embed

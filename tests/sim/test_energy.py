@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.physics import fem_stiffness
-from bench.sample_meshes import box
+from bench.physics import box, fem_stiffness
 from core.material import Material
 from sim.bodies import SoftBody
 from sim.model import BodyModel, Model, RestShape

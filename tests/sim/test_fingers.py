@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.sample_meshes import box
+from bench.physics import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Box, Hand, Touch

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.physics import BAR, LEFT, SURFACE, TETS, fem_stiffness
-from bench.sample_meshes import box
+from bench.physics import BAR, LEFT, SURFACE, TETS, box, fem_stiffness
 from core.material import Material
 from sim.bodies import SoftBody
 from sim.elastic.modal_correction import MODES, lattice_motions, modes_of, softest_modes

@@ -8,7 +8,7 @@ import taichi as ti
 from numpy.testing import assert_allclose
 from taichi.math import vec3
 
-from bench.sample_meshes import torus
+from bench.physics import torus
 from core.fields import destroy_fields
 from core.material import Material
 from sim.bodies import RigidBody, SoftBody

@@ -5,7 +5,7 @@ import pytest
 import taichi as ti
 from numpy.testing import assert_allclose
 
-from bench.sample_meshes import box
+from bench.physics import box
 from core.errors import BadInput
 from core.material import Material
 from sim.bodies import SoftBody

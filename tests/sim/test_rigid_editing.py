@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.sample_meshes import box
+from bench.physics import box
 from core.material import Material
 from core.vocabulary import Hand
 from sim.bodies import SoftBody

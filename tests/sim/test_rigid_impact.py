@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.sample_meshes import box
+from bench.physics import box
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Plane

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from bench.physics import box, torus
 from bench.physics_contact import energies, run
-from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import boundary_surface
 from core.vocabulary import Plane

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.sample_meshes import box, torus
+from bench.physics import box, torus
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from bench.physics import box
 from bench.physics_contact import pile, run
-from bench.sample_meshes import box
 from core.material import Material
 from core.vocabulary import Hand, Plane, Touch
 from sim.bodies import SoftBody

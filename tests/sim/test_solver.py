@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.physics import vibration_energy
-from bench.sample_meshes import box
+from bench.physics import box, vibration_energy
 from core.errors import BadInput
 from core.material import Material
 from sim.bodies import SoftBody

@@ -6,7 +6,7 @@ import taichi as ti
 from numpy.testing import assert_allclose
 from scipy.spatial import cKDTree
 
-from bench.sample_meshes import box, torus
+from bench.physics import box, torus
 from core.distance_grid import DistanceGrid
 from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions

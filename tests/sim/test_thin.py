@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bench.physics import box, torus
 from bench.physics_contact import linked_throws
-from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Box, Capsule, Hand

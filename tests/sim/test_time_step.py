@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.sample_meshes import box
+from bench.physics import box
 from core.errors import BadInput
 from core.material import Material
 from sim.bodies import SoftBody

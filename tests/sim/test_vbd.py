@@ -7,9 +7,22 @@ import pytest
 import taichi as ti
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.physics import BAR, DOWN, LEFT, RIGHT, TETS, G, bar, fem_solve, fem_stiffness, positions, strain_energy
+from bench.physics import (
+    BAR,
+    DOWN,
+    LEFT,
+    RIGHT,
+    TETS,
+    G,
+    bar,
+    box,
+    fem_solve,
+    fem_stiffness,
+    positions,
+    strain_energy,
+    torus,
+)
 from bench.physics_contact import run
-from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand, Plane

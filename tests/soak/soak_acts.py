@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bench.sample_meshes import box, torus
+from bench.physics import box, torus
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Hand

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bench.sample_meshes import box
+from bench.physics import box
 from core.vocabulary import Box, Capsule, Plane
 from sim.contact.static_shapes import StaticGrid, rest_grid
 from sim.model import Capacity

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import re
+from collections.abc import Container
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import PICTURES, atomic_write
+from assets.file_access import PICTURES, atomic_write, check_writable, unused_name
 from core.camera import Camera
 from core.errors import BadInput
 
@@ -86,3 +89,28 @@ def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int
     scale = min(frame[0] / picture[0], frame[1] / picture[1])
     width, height = round(picture[0] * scale), round(picture[1] * scale)
     return (frame[0] - width) // 2, (frame[1] - height) // 2, width, height
+
+
+def output_path(scene: str, ending: str, taken: Container[Path] = ()) -> Path:
+    """Path of a new file, SCENE_TIME followed by `ending` (".png", "_camera.json").
+
+    It is in the current folder, or in that of pictures if the current one is not writable. Neither a file that exists
+    nor one of those `taken` has this name. Raises BadInput if neither folder is writable.
+    """
+    stem = re.sub(r"[^\w.-]+", "_", Path(scene).stem) or "scene"
+    name = f"{stem}_{datetime.now().strftime('%Y-%m-%d_%H-%M-%S')}{ending}"
+    error: BadInput | None = None
+    for folder in (Path.cwd(), pictures_folder()):
+        path = unused_name(folder / name, taken)
+        try:
+            check_writable(path)
+            return path
+        except BadInput as e:
+            error = error or e
+    raise error
+
+
+def pictures_folder() -> Path:
+    """The user's folder of pictures; the home folder if there is none."""
+    home = Path.home()
+    return home / "Pictures" if (home / "Pictures").is_dir() else home

@@ -15,8 +15,7 @@ from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.measured_length import scale_between
 from display.edit.editor import rotation_matrix
-from display.keep.keeper import output_path
-from display.picture import pixels_of, surface_point
+from display.picture import output_path, pixels_of, surface_point
 from display.protocol import Frame, Line, Notice, WorldView
 from display.timing import Timings
 from display.user_commands import (

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from assets.camera_file import write_cameras
-from assets.file_access import check_writable, unused_name
 from core.camera import fitted
 from core.errors import BadInput
 from core.vocabulary import Light
 from display.headless.video import FilmWriter
-from display.picture import pixels_of, save_picture
+from display.picture import output_path, pixels_of, save_picture
 from display.preferences import PathText, Preferences
 from display.protocol import Frame
 from display.user_commands import (
@@ -172,31 +169,6 @@ def full_picture(world, size: tuple[int, int] | None) -> np.ndarray:
         return pixels_of(world.picture)[: size[1]].copy()
     finally:
         world.resize(*now)
-
-
-def output_path(scene: str, ending: str, taken: Container[Path] = ()) -> Path:
-    """Path of a new file, SCENE_TIME followed by `ending` (".png", "_camera.json").
-
-    It is in the current folder, or in that of pictures if the current one is not writable. Neither a file that exists
-    nor one of those `taken` has this name. Raises BadInput if neither folder is writable.
-    """
-    stem = re.sub(r"[^\w.-]+", "_", Path(scene).stem) or "scene"
-    name = f"{stem}_{datetime.now().strftime('%Y-%m-%d_%H-%M-%S')}{ending}"
-    error: BadInput | None = None
-    for folder in (Path.cwd(), pictures_folder()):
-        path = unused_name(folder / name, taken)
-        try:
-            check_writable(path)
-            return path
-        except BadInput as e:
-            error = error or e
-    raise error
-
-
-def pictures_folder() -> Path:
-    """The user's folder of pictures; the home folder if there is none."""
-    home = Path.home()
-    return home / "Pictures" if (home / "Pictures").is_dir() else home
 
 
 class Remembered:

@@ -13,6 +13,28 @@ from commands.play_options import PlayOptions
 from core.errors import BadInput
 from render import SORTS
 
+ALWAYS = {  # options that act whatever else is given; scenes check their own
+    None: "--help --version --web --scene --xr --headless --arch --interaction --embedding --sort --frames --record"
+    " --snapshot --stats --save-state --record-input --replay --study --seed --body --stage --material --detail",
+    "scenes": "--help",
+    "export": "--help --scene --arch --interaction --embedding --frames --seed --body --stage --material --detail"
+    " --replay --out --only",
+    "view": "--help --arch --background --size --snapshot --sort --up",
+    "render": "--help --antialias --arch --camera --out --sort --turntable",
+    "prepare": "--help --arch --out --cache --static",
+    "convert": "--help",
+    "train": "--help --arch --out --steps --strategy --cap --degree --antialias --sort --reduce --test-every --report"
+    " --masks --checkpoint-every --preview --seed --fast --exposure --refine-poses",
+    "capture": "--help --arch --out --marks --masks --no-objects --scale-points --steps --reduce --cap --cell --seed",
+    "inpaint": "--help --remove --objects --out --capture --lama --keep-shadow --steps --report --arch",
+    "segment": "--help --marks --out",
+    "bench": "--help --arch --json",
+    "figures": "--help --arch --capture --out --quick",
+    "tune": "--help --arch --height --json --material --out --young",
+    "materials": "--help",
+    "check": "--help --arch --json --quick",
+    "study": "--help --form",
+}
 REFUSED = [  # for each condition a command line, and what is said about the option that would be ignored
     ("--render-scale .5", "--render-scale belongs to --xr"),
     ("--xr --size 320x180", "--size is not for --xr"),
@@ -66,6 +88,15 @@ def refusal(words: str) -> str:
 @pytest.mark.parametrize("words, said", REFUSED, ids=[words for words, _ in REFUSED])
 def test_an_option_that_would_be_ignored_is_refused(words, said):
     assert said in refusal(words)
+
+
+@pytest.mark.parametrize("name", [None, *COMMANDS], ids=str)
+def test_each_option_acts_or_has_a_condition(name):
+    """Whoever adds an option says here that it always acts, or in the command under which condition."""
+    parser, kind = (playing_parser([]), PlayOptions) if name is None else (command_parser(name, []), command(name)[1])
+    there = {flag for flag in parser._option_string_actions if flag.startswith("--")}
+    conditional = {flag for condition in kind.CONDITIONS for flag in condition.flags}
+    assert there == set(ALWAYS[name].split()) | conditional
 
 
 @pytest.mark.parametrize("name", [None, *COMMANDS], ids=str)

@@ -7,7 +7,8 @@ import pytest
 from assets.camera_file import read_cameras
 from core.camera import look_at, perspective
 from core.errors import BadInput
-from display.keep.keeper import Keeper, output_path
+from display.keep.keeper import Keeper
+from display.picture import output_path
 from display.protocol import Frame
 from display.user_commands import Film, TakePicture, WriteCamera
 from tests.support.fake_world import RED, FakeWorld, fake_scene
@@ -82,7 +83,7 @@ def test_what_cannot_be_written_is_told_in_a_line_and_the_play_goes_on(world, mo
     def full(*_, **__):
         raise BadInput("x.png: cannot write here (No space left on device)")
 
-    monkeypatch.setattr("display.keep.keeper.check_writable", full)
+    monkeypatch.setattr("display.picture.check_writable", full)
     with Keeper("sandbox") as keeper:
         play(world, keeper, command)
         play(world, keeper, time=1.0)

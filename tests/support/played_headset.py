@@ -57,7 +57,7 @@ class Play:
             self._lag += min(frame.dt, STEP)  # the script waits
         self.lead(world, frame, held)
         if noted["frames"] >= self.limit or noted["held"] >= HELD_FRAMES:
-            self.headset._mirror.closing = True
+            type(self.headset._mirror).closing = True  # as if the user had closed the window
 
     def lead(self, world, frame, held: bool) -> None:
         """Move the controllers to where the script's hands are."""

@@ -12,6 +12,7 @@ import numpy as np
 from assets.asset import Asset
 from assets.file_access import atomic_write_all
 from assets.formats.ply import write_ply
+from assets.gaussians import Gaussians
 from assets.orientation import describe_guess, question
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
@@ -19,12 +20,13 @@ from core.report import png_of
 from core.runtime import running_arch
 from prepare import standing
 from prepare.cage.cage_generation import NoSoundCage
+from prepare.cage.level_set import ComponentSolid
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.preparation_report import report_names, report_texts
 from prepare.progress import Checkpoints, Progress, progress_on
 from prepare.report_pictures import camera_for, orientation_strip, splat_picture, strip_name
-from prepare.rig.rig_source import described, is_skinned, rig_source
+from prepare.rig.rig_source import RigSource, described, is_skinned, rig_source
 from prepare.standing import stood_up
 
 # Vertices of a cage unless the user says; the next number where a shape finds no sound cage with one. A second of a
@@ -59,54 +61,85 @@ def prepare_file(
     quantised store it small, with the losses of assets/quantisation.py
     Raises BadInput, naming the file.
     """
-    path, out, options = Path(path), Path(out), options or Options()
+    path, out = Path(path), Path(out)
+    source, options = _source_of(path, options or Options(), rig, landmarks)
+    gaussians = read_gaussians(path, report) if source is None or source.gaussians is None else source.gaussians
+    bar = progress_on(sys.stderr, STEPS if source is None else (*STEPS, "rig"))
+    wanted = list(vertices) or [options.vertices]
+    try:
+        body = _sound_body(path, gaussians, options, wanted, source, progress or bar, report)
+    except BadInput as e:
+        raise BadInput(f"{path}: {e}") from e
+    finally:
+        bar.close()
+    asset, solids, notes, checkpoints = body
+    if checkpoints.resumed:
+        notes.append(f"resumed after the step {checkpoints.resumed[-1]} of an earlier run")
+    asset = replace(asset, provenance={"source": path.name} | asset.provenance)
+    chances, strip, texts = asset.provenance["up_probabilities"], None, ()
+    if page:
+        strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances) if question(chances) else None
+        splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
+        texts = report_texts(asset, solids, out.name, notes=tuple(notes), splat=splat, up=strip)
+    _write(out, asset, strip, texts, quantised=quantised)
+    checkpoints.clear()
+    for line in notes + summary(asset.provenance):
+        report(line)
+    tell_alternatives(chances, out, strip, report)
+    return out
+
+
+def _source_of(path: Path, options: Options, rig, landmarks) -> tuple[RigSource | None, Options]:
+    """Source of the body's motion, if it has one, and the options with what it or the file's format says."""
     if path.suffix.lower() == ".h5":
         raise BadInput(f"{path}: is an asset already; a splat file (.ply, .spz, .sog ...) is needed")
     if options.pieces and (rig is not None or is_skinned(path)):
         raise BadInput(f"{path}: a rig animates one body; --pieces is for other splats")
     source = rig_source(path, rig, landmarks)
-    gaussians = read_gaussians(path, report) if source is None or source.gaussians is None else source.gaussians
     if source is None and path.suffix.lower() in Y_UP:
         options = replace(options, up=options.up or "+y", front=options.front or 0.0)  # both are specified
     if source is not None:
         options = replace(options, front=options.front or 0.0)  # a motion has a front of its own
         options = replace(options, up=options.up or source.up, material=options.material or source.material)
-    bar = progress_on(sys.stderr, STEPS if source is None else (*STEPS, "rig"))
-    progress, wanted = progress or bar, list(vertices) or [options.vertices]
-    try:
-        while True:
-            options = replace(options, vertices=wanted.pop(0))
-            checkpoints = Checkpoints(path, asdict(options), VERSION)
-            try:
-                asset, solids, notes = _prepared_or_anew(gaussians, options, progress, checkpoints)
-                break
-            except NoSoundCage as e:
-                if not wanted:
-                    raise BadInput(f"{e}; --vertices N makes a finer cage") from e
-                checkpoints.clear()
-                report(f"{e}; trying {wanted[0]} vertices")
-        if source is not None:
-            progress("rig", 0.0)
-            asset = source.animate(asset, solids[0].distance)
-            progress("rig", 1.0)
-        elif len(solids) == 1 and not options.metres:
-            asset, solids = stood_up(asset, solids)
-    except BadInput as e:
-        checkpoints.clear()
-        raise BadInput(f"{path}: {e}") from e
-    finally:
-        bar.close()
-    if checkpoints.resumed:
-        notes.append(f"resumed after the step {checkpoints.resumed[-1]} of an earlier run")
-    asset = replace(asset, provenance={"source": path.name} | asset.provenance)
-    splat = strip = None
-    chances = asset.provenance["up_probabilities"]
-    if page and question(chances):
-        strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances)
-    if page:
-        splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
-    texts = report_texts(asset, solids, out.name, notes=tuple(notes), splat=splat, up=strip) if page else ()
-    files = [out, *([strip_name(out)] if strip is not None else []), *(report_names(out) if page else ())]
+    return source, options
+
+
+def _sound_body(
+    path: Path,
+    gaussians: Gaussians,
+    options: Options,
+    wanted: list[int],
+    source: RigSource | None,
+    progress: Progress,
+    report: Callable[[str], None],
+) -> tuple[Asset, list[ComponentSolid], list[str], Checkpoints]:
+    """The body with the first of the `wanted` numbers of vertices that has a sound cage, standing or in motion; solids
+    of its components, notes, and what is kept until it is written. Raises BadInput."""
+    for count, others in ((wanted[k], wanted[k + 1 :]) for k in range(len(wanted))):
+        options = replace(options, vertices=count)
+        checkpoints = Checkpoints(path, asdict(options), VERSION)
+        try:
+            asset, solids, notes = _prepared_or_anew(gaussians, options, progress, checkpoints)
+            if source is not None:
+                progress("rig", 0.0)
+                asset = source.animate(asset, solids[0].distance)
+                progress("rig", 1.0)
+            elif len(solids) == 1 and not options.metres:
+                asset, solids = stood_up(asset, solids)
+            return asset, solids, notes, checkpoints
+        except BadInput as e:
+            checkpoints.clear()
+            if not isinstance(e, NoSoundCage):
+                raise
+            if not others:
+                raise BadInput(f"{e}; --vertices N makes a finer cage") from e
+            report(f"{e}; trying {others[0]} vertices")
+    raise ValueError("no number of vertices is wanted")
+
+
+def _write(out: Path, asset: Asset, strip: np.ndarray | None, texts: Sequence[str], *, quantised: bool) -> None:
+    """Write the asset, the strip of its alternatives and the report's texts beside it, all of them or none."""
+    files = [out, *([strip_name(out)] if strip is not None else []), *(report_names(out) if texts else ())]
     with atomic_write_all(*files) as (beside, *others):
         asset.check(str(out))  # before `save` does, which would name the temporary file
         asset.save(beside, quantised=quantised)
@@ -114,11 +147,6 @@ def prepare_file(
             others.pop(0).write_bytes(png_of(strip))
         for other, text in zip(others, texts, strict=True):
             other.write_text(text, encoding="utf-8")
-    checkpoints.clear()
-    for line in notes + summary(asset.provenance):
-        report(line)
-    tell_alternatives(chances, out, strip, report)
-    return out
 
 
 def tell_alternatives(chances: dict, out: Path, strip: np.ndarray | None, report: Callable[[str], None]) -> None:
@@ -139,8 +167,10 @@ def _prepared_or_anew(gaussians, options: Options, progress: Progress, checkpoin
 
     def attempt():
         solids, notes = [], []
-        how = {"progress": progress, "look": solids.append, "say": notes.append, "checkpoints": checkpoints}
-        return prepare(gaussians, options, **how), solids, notes
+        asset = prepare(
+            gaussians, options, progress=progress, look=solids.append, say=notes.append, checkpoints=checkpoints
+        )
+        return asset, solids, notes
 
     try:
         return attempt()

@@ -45,15 +45,12 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vrgs"
 
 
-INSTALL = "pip install -r studio/requirements.txt"
-
-
-def check_open3d(user: str) -> None:
-    """Raise BadInput, with a remedy, where open3d is not installed; takes no time. `user` is what needs it."""
+def check_open3d(user: str, requirements: str = "requirements-tetgen.txt") -> None:
+    """Raise BadInput where open3d is not installed: `user` needs it, a file of `requirements` names it. Takes no time."""
     if ONE_FILE:
         raise BadInput(f"{user} needs the package open3d, which this executable leaves out: run it from the source")
     if find_spec("open3d") is None:
-        raise BadInput(f"{user} needs the package open3d: {INSTALL}")
+        raise BadInput(f"{user} needs the package open3d: pip install -r {requirements}")
 
 
 def open3d(user: str):

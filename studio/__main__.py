@@ -67,7 +67,7 @@ def picture_size(text: str) -> tuple[int, int]:
 
 def run(args: argparse.Namespace) -> None:
     """Build the assets `args.names` (all, if there are none) into `args.out`, or a capture. Raises BadInput."""
-    check_open3d("studio")
+    check_open3d("studio", "studio/requirements.txt")
     if args.capture is not None:
         build_capture(args)
         return

@@ -67,7 +67,7 @@ def build_demo(demo: PaperDemo, folder: Path, report: Callable[[str], None], *, 
     from assets.asset import Asset
     from studio.catalogue import MODELS, build_model
 
-    check_open3d("studio")
+    check_open3d("studio", "studio/requirements.txt")
     search_first(None)
     left = parts_of(registry.load(demo.scene, **demo.options))
     for part in left:

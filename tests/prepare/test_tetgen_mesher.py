@@ -1,6 +1,7 @@
 """Cages by TetGen: its process may be missing, hang, crash or return anything. TetGen itself: if it is there."""
 
 import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -23,6 +24,8 @@ from tests.support.shells import ball
 
 N, R = 40, 14.0
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+
+needs_open3d = pytest.mark.skipif(find_spec("open3d") is None, reason="open3d is not installed (make studio)")
 
 
 def sphere() -> np.ndarray:
@@ -89,6 +92,7 @@ def test_a_pinched_mesh_is_refused():
         checked_cage(vertices, np.array([[0, 1, 2, 3], [0, 4, 5, 6]]))
 
 
+@needs_open3d
 def test_a_surface_is_decimated_and_screened():
     v, f = marching_cubes(DistanceGrid(sphere(), np.zeros(3), 1.0))
     few, faces = decimated(v, f, 600)
@@ -108,6 +112,7 @@ def test_the_first_edge_gives_that_many_vertices():
     assert_allclose(edges[2], (1.2 * volume / 10_000) ** (1 / 3), rtol=0.25)  # most lie inside
 
 
+@needs_open3d
 def test_what_passes_the_gate_is_taken(worker, ti_cpu, tmp_path):
     """A sound mesh in the place of TetGen's: the search ends, the cage is as good as any, and tetgen is its mesher."""
     good = cage_of(sphere(), inner_points(), 700, lambda share: None)
@@ -120,6 +125,7 @@ def test_what_passes_the_gate_is_taken(worker, ti_cpu, tmp_path):
     assert shares and all(0 <= s <= 1 for s in shares)
 
 
+@needs_open3d
 def test_where_tetgen_fails_stuffing_makes_the_cage_and_that_is_told(worker, ti_cpu, monkeypatch):
     worker("os.abort()")
     monkeypatch.setattr("prepare.cage.component_cages.check_installed", lambda: None)

@@ -46,7 +46,7 @@ def cache_folder() -> Path:
 
 
 def check_open3d(user: str, requirements: str = "requirements-tetgen.txt") -> None:
-    """Raise BadInput where open3d is not installed: `user` needs it, a file of `requirements` names it. Takes no time."""
+    """Raise BadInput where open3d, which `user` needs, is not installed; `requirements` is the file that names it."""
     if ONE_FILE:
         raise BadInput(f"{user} needs the package open3d, which this executable leaves out: run it from the source")
     if find_spec("open3d") is None:

@@ -136,6 +136,7 @@ def test_where_tetgen_fails_stuffing_makes_the_cage_and_that_is_told(worker, ti_
     assert said == ["TetGen: TetGen crashed (SIGABRT); the cage is made by stuffing instead"]
 
 
+@needs_open3d
 def test_without_the_package_one_line_says_how_to_get_it(tmp_path, capfd, monkeypatch):
     write_gaussians(tmp_path / "ball.ply", ball(200))
     asked = ["prepare", str(tmp_path / "ball.ply"), "--out", str(tmp_path / "out.h5"), "--mesher", "tetgen"]

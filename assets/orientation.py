@@ -1,4 +1,4 @@
-"""Which way is up: of a bare splat from cues, of a scene from its floor, of a capture from its cameras; and the front.
+"""The up axis, of a bare splat from cues, of a scene from its floor, of a capture from its cameras; and the front.
 
 Structure from motion leaves the frame free, and tools differ (y down from COLMAP, y up from editors). Cameras and a
 floor tell the vertical to a degree. Of a bare splat the guess is a probability for each of the file's six axes: a

@@ -76,7 +76,7 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Declaration:
-    """How an option is written on the command line, and what its help says.
+    """An option's form on the command line, and its help.
 
     flag    where it is not the field's name
     bare    value of the option without a value, where it may have none
@@ -279,7 +279,7 @@ def reduce_option(what: str) -> Any:
 
 @dataclass(kw_only=True)
 class Preparation(Options):
-    """How a body is made of a splat file."""
+    """Options of making a body of a splat file."""
 
     up: Axis | None = option(None, "up axis of the splat file (default: guessed)")
     scale: Amount | None = option("M", "largest extent of the splat in metres (default: guessed)")

@@ -20,7 +20,7 @@ STATE = cli.Condition(("--state",), lambda o: not o.replay, "is not for a replay
 
 @dataclass(kw_only=True)
 class SceneOptions(cli.Preparation):
-    """What is played, and how long. `options`: those of the scene, by name."""
+    """The scene that is played, and for how long. `options`: those of the scene, by name."""
 
     CONDITIONS = (STATE, PREPARATION)
 
@@ -49,7 +49,7 @@ class SceneOptions(cli.Preparation):
 
 @dataclass(kw_only=True)
 class DisplayOptions(cli.Options):
-    """Where a scene is shown, and what is written of the play."""
+    """The display of a play, and what is written of it."""
 
     xr: bool = cli.switch("play in a headset", one_of=WHERE)
     headless: bool = cli.switch("no window: the scene's scripted hand plays", one_of=WHERE)

@@ -58,7 +58,7 @@ class Button:
 
     @property
     def text(self) -> str:
-        """What stands on it now."""
+        """Its text now."""
         return self.label if self.on and self.label else self.name
 
 

@@ -156,7 +156,7 @@ def bounds_of(gaussians: Gaussians) -> Box:
     return Box(means.min(0), means.max(0))
 
 
-# Where to look from
+# Views to start from
 
 
 def middle_and_radius(gaussians: Gaussians) -> tuple[np.ndarray, float]:

@@ -1,4 +1,4 @@
-"""How a body stands: without a thin flap that topples it, turned to rest, and stiff enough to bear its own weight.
+"""Bodies that stand: without a thin flap that topples it, turned to rest, and stiff enough to bear its own weight.
 
 A thin flap under a body, such as the care label of a toy, would become a pillar of the cage, whose tets are wider than
 cloth: the body would topple from it. Where a body falls from the lowest thin part of it but stands without, that part

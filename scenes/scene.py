@@ -1,4 +1,4 @@
-"""What a scene file declares: the scene, its game, roles and room. Data only: no Taichi, no files."""
+"""Types of a scene file: the scene, its game, roles and room. Data only: no Taichi, no files."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ def full_picture(world, size: tuple[int, int] | None) -> np.ndarray:
 
 
 class Remembered:
-    """What is remembered of a scene from one play to the next: its light, if `light`, and its last saved state.
+    """Memory of a scene from one play to the next: its light, if `light`, and its last saved state.
 
     `given` adds them to the commands of the frames, `keep` stores the light at the end.
     """

@@ -1,4 +1,4 @@
-"""What goes to a page and comes from it, as JSON.
+"""Messages to a page and from it, as JSON.
 
 A message of a page is a list of a name and its values, untrusted: all of them are checked on reading (MESSAGES).
 
@@ -143,7 +143,7 @@ def scene_request(name: str, options: dict) -> OpenScene | None:
 
 
 def world_state(world: WorldView, panel: Panel) -> dict:
-    """What a page shows of a world beside its picture; cheap enough for every frame.
+    """State of a world that a page shows beside its picture; cheap enough for every frame.
 
     Each section of the panel has its own key, so that only sections that changed are sent."""
     score, message = score_and_message(world)

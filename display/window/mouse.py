@@ -1,4 +1,4 @@
-"""What the mouse steers: a camera that orbits a target, and a hand that grips what was clicked."""
+"""The mouse: a camera that orbits a target, and a hand that grips what was clicked."""
 
 from __future__ import annotations
 

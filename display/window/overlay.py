@@ -1,4 +1,4 @@
-"""What ImGui draws over the picture beside the panel: score and messages, first hint, card of keys, lines, gizmo."""
+"""Drawings of ImGui over the picture, beside the panel: score and messages, first hint, card of keys, lines, gizmo."""
 
 from __future__ import annotations
 

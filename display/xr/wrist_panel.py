@@ -83,7 +83,7 @@ BUTTONS = button_rows(ROWS)
 
 
 def described_buttons(world: WorldView, panel: Panel) -> dict[str, Button]:
-    """What the panel of the window has under these names: commands, and whether it is on."""
+    """Commands that the window's panel has under these names, and whether each is on."""
     play = play_section(world)
     (grip,) = (row for row in play.rows if isinstance(row, Choice))
     found = {name: Button(name, grip.choose(name), on=name == grip.current) for name in grip.options}

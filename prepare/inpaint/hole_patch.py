@@ -57,7 +57,7 @@ def _spacing(texture: SurfaceTexture, background: Gaussians) -> float:
 
 
 def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a view should show: colour (H, W, 3), and masks (H, W) of the hole and of the pixels to train on."""
+    """Target of a view: colour (H, W, 3), and masks (H, W) of the hole and of the pixels to train on."""
     c = view.camera
     y, x = np.mgrid[: c.height, : c.width]
     rays = np.stack([(x + 0.5 - c.cx) / c.fx, (y + 0.5 - c.cy) / c.fy, np.ones(x.shape)], axis=-1)

@@ -125,8 +125,8 @@ def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray) -> np.n
 
 
 def confirmed(shown: np.ndarray, left: np.ndarray, across: np.ndarray) -> float:
-    """How far a fitted shadow is confirmed by differences between neighbouring places (N, 2), 0..1: the median ratio of
-    the difference of log `shown` (N,) to that of log `left` (N,).
+    """Confirmation of a fitted shadow by differences between neighbouring places (N, 2), 0..1: the median ratio of the
+    difference of log `shown` (N,) to that of log `left` (N,).
 
     As a whole, dark wood around the foot in front of a white wall looks like a shadow, but only few neighbours differ.
     """

@@ -291,8 +291,8 @@ def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What all views show, masks of texels (H, W): the surface is known; is absent; was covered by the object; and was
-    lacking behind the object. The colour (H, W, 3) is that of known texels."""
+    """Masks of texels (H, W) from all views together: the surface is known; is absent; was covered by the object; and
+    was lacking behind the object. The colour (H, W, 3) is that of known texels."""
 
     known: np.ndarray
     empty: np.ndarray
@@ -329,7 +329,7 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
 
 @dataclass(frozen=True)
 class _Look:
-    """What one view shows, masks of texels (H, W): in the picture; the surface; something behind it; the object in
+    """Masks of texels that one view gives (H, W): in the picture; the surface; something behind it; the object in
     front of it; and no surface behind the object. `merit` is how large a texel appears, `at` its pixel."""
 
     inside: np.ndarray

@@ -139,7 +139,7 @@ def stay_apart(s: ti.template(), x, v, t, axis):
 
 @ti.dataclass
 class TetOutline:
-    """What is quickly known of where a tet can meet points until the next search."""
+    """Quick bounds of where a tet can meet points until the next search."""
 
     body: ti.i32
     low: vec3  # box in which it can meet points [m]

@@ -404,7 +404,7 @@ def box_distance(p, half):
 
 
 class LineOfSight:
-    """What static shapes hide from an eye, and what lies below a point (on the host)."""
+    """Lines of sight among static shapes, and the height of what lies below a point (on the host)."""
 
     def __init__(self, shapes: Sequence[Shape]):
         self._shapes = list(shapes)

@@ -353,7 +353,7 @@ class World(WorldView):
             self.apply([SetInteraction(game.interaction(time))])
         return game.hands(time, self.registry.scene_states(self._bodies))
 
-    # What displays see, as WorldView says (display/protocol.py)
+    # The view of displays, as WorldView says (display/protocol.py)
 
     def resize(self, width: int, height: int) -> None:
         self._drawn = None

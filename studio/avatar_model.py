@@ -1,4 +1,4 @@
-"""What players see of themselves, as Gaussians: hands, controllers, finger, ray, marks; display/xr/avatar.npz.
+"""The avatar of players, as Gaussians: hands, controllers, finger, ray, marks; display/xr/avatar.npz.
 
     python -m studio.avatar_model
 

@@ -22,7 +22,7 @@ MAY_IMPORT = {
 }
 
 SIM_PACKAGES = ("elastic", "contact", "rigid", "hands")  # none imports one that stands after it
-# What stands above all four; the other modules of sim/ stand below them
+# Modules above all four; the other modules of sim/ stand below them
 SIM_TOP = {"contacts", "kinematic_targets", "body_editing", "recovery", "sleeping", "solver"}
 
 

@@ -24,7 +24,7 @@ from sim.model import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State
 
-# Where the sums over one body begin: m r, m v, m r x v, m r_k^2, m r_k r_l (3 numbers each) ...
+# First index of the sums over one body: m r, m v, m r x v, m r_k^2, m r_k r_l (3 numbers each) ...
 MASS_R, MOMENTUM, SPIN, SQUARES, PRODUCTS = 0, 3, 6, 9, 12
 FORCE, FORCE_R, FORCE_SQUARES, FORCE_PRODUCTS = 15, 16, 19, 22  # ... f (1), f r, f r_k^2, f r_k r_l (3 each)
 DAMPING_SUMS = 25

@@ -1,4 +1,4 @@
-"""Which way is up: known scenes, downloaded splats, confidence; and the front of a body."""
+"""The up axis: known scenes, downloaded splats, confidence; and the front of a body."""
 
 import numpy as np
 import pytest

@@ -17,7 +17,7 @@ from sim.state import State
 BLOCK_SIZE = 64  # vertices
 FLOAT_MAX = 3.0e38  # larger than any distance, finite in float32
 MIN_MOTION = 1e-5  # [m] smaller motions are invisible
-# First index of the values of one body: centre of mass [m], its velocity [m/s], sum m x (rest - its centre)^T (9), lowest
+# First index of a body's values: centre of mass [m], its velocity [m/s], sum m x (rest - its centre)^T (9), lowest
 # and highest coordinates [m] (3 each), 1 if all is finite ...
 CENTER, VELOCITY, SHAPE, LOW, HIGH, FINITE = 0, 3, 6, 15, 18, 21
 # ... and by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted, asleep and rest_time

@@ -82,10 +82,16 @@ def test_marks_of_a_file_come_back_from_the_window():
     assert not edit_of(marks, {}).changed
 
 
-def test_the_photograph_shows_at_once_what_a_stroke_selects(tmp_path):
+def test_the_photograph_shows_at_once_what_a_stroke_selects(tmp_path, monkeypatch):
+    from threading import Event
     from types import SimpleNamespace
 
     import cv2
+
+    from commands import marking
+
+    seen, first_cut = Event(), marking.first_cut
+    monkeypatch.setattr(marking, "first_cut", lambda *cut: seen.wait(30) and first_cut(*cut))
 
     picture = np.full((80, 100, 3), (60, 140, 60), np.uint8)
     picture[20:60, 30:70] = (40, 60, 220)
@@ -95,7 +101,8 @@ def test_the_photograph_shows_at_once_what_a_stroke_selects(tmp_path):
     edit.add("a.png", "inside", [(40, 30), (60, 50)])
     edit.add("a.png", "outside", [(15, 70), (85, 70)])
     assert "one more photograph" in subject.select(edit.state)
-    np.testing.assert_array_equal(subject.picture(), before)  # it is cut meanwhile
+    np.testing.assert_array_equal(subject.picture(), before)  # as it was, until the cut is made
+    seen.set()
     until(lambda: subject.version)
     changed = np.abs(subject.picture() - 0.75 * before).max(-1) > 5  # the rest is darker
     assert changed[25:55, 35:65].mean() > 0.9 and changed[:15].mean() == 0.0

@@ -22,7 +22,7 @@ BOXES = tuple(f"box_{kind}" for kind in ("cardboard", "parcel", "crate", "tin"))
 MODELS: dict[str, tuple] = {
     # ring toss
     "dining_room": ("studio.dining_room.room_model:dining_room",),
-    "bottle": ("studio.dining_room.bottle:bottle",),
+    "bottle": ("studio.dining_room.bottle_model:bottle",),
     "ring_red": ("studio.ring:ring", "ring_red"),
     "ring_blue": ("studio.ring:ring", "ring_blue"),
     "ring_yellow": ("studio.ring:ring", "ring_yellow"),

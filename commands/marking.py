@@ -36,7 +36,7 @@ def state_of(marks: Marks, grow: dict[str, int]) -> MarkState:
                 Mark(name, view, kind, tuple(map(tuple, s))) for kind in ("inside", "outside") for s in vars(m)[kind]
             ]
             found += [Mark(name, view, "boxes", tuple(map(tuple, b.reshape(2, 2)))) for b in m.boxes]
-    return MarkState(tuple(marks.objects), tuple(found), tuple(grow.items()))
+    return MarkState(tuple(marks.objects), tuple(found), dict(grow))
 
 
 def marks_of_state(state: MarkState) -> Marks:
@@ -93,14 +93,14 @@ class SplatSubject:
 
     def select(self, state: MarkState) -> str:
         marks, numbers = marks_of_state(state), {name: k for k, name in enumerate(state.objects, 1)}
-        counts = self._selection.select(SplatMarks(self.free.cameras, marks, dict(state.grow)), numbers)
+        counts = self._selection.select(SplatMarks(self.free.cameras, marks, state.grow), numbers)
         return ", ".join(f"{name}: {count:,}" for name, count in counts.items()) + " Gaussians" if counts else ""
 
     def marks(self, state: MarkState) -> SplatMarks:
         """The marks with the cameras of their views."""
         marks = marks_of_state(state)
         cameras = {name: self.free.cameras[name] for name in marks.views}
-        return SplatMarks(cameras, marks, {n: r for n, r in state.grow if n in marks.objects})
+        return SplatMarks(cameras, marks, {n: r for n, r in state.grow.items() if n in marks.objects})
 
     def close(self) -> None:
         """Free the device memory."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 GROW_MAX = 50  # rings of neighbours
-STEPS_MAX = 500  # that can be undone
 
 
 @dataclass(frozen=True)
@@ -24,15 +23,11 @@ class Mark:
 
 @dataclass(frozen=True)
 class MarkState:
-    """All marks: names of the objects, marks, and number of rings by which each object is grown."""
+    """All marks: names of the objects, marks, and by how many rings an object is grown."""
 
     objects: tuple[str, ...] = ("object_1",)
     marks: tuple[Mark, ...] = ()
-    grow: tuple[tuple[str, int], ...] = ()
-
-    def rings(self, name: str) -> int:
-        """Rings by which an object is grown."""
-        return dict(self.grow).get(name, 0)
+    grow: dict[str, int] = field(default_factory=dict)
 
 
 class MarkEdit:
@@ -55,7 +50,7 @@ class MarkEdit:
 
     def _do(self, state: MarkState) -> None:
         if state != self.state:
-            self._done = [*self._done, self.state][-STEPS_MAX:]
+            self._done.append(self.state)
             self._undone, self.state = [], state
 
     def add(self, view: str, kind: str, points) -> None:
@@ -65,17 +60,16 @@ class MarkEdit:
 
     def delete(self) -> None:
         """Delete the current object with its marks; the only one keeps its name."""
-        left = tuple(m for m in self.state.marks if m.object != self.name)
-        grow = tuple((n, r) for n, r in self.state.grow if n != self.name)
-        objects = tuple(n for n in self.state.objects if n != self.name) or self.state.objects
-        self._do(MarkState(objects, left, grow))
+        name = self.name
+        left = tuple(m for m in self.state.marks if m.object != name)
+        objects = tuple(n for n in self.state.objects if n != name) or self.state.objects
+        self._do(MarkState(objects, left, {n: r for n, r in self.state.grow.items() if n != name}))
         self.current = min(self.current, len(objects) - 1)
 
     def grow(self, rings: int) -> None:
         """Grow the current object by so many rings, or shrink it."""
-        now = max(-GROW_MAX, min(GROW_MAX, self.state.rings(self.name) + rings))
-        others = tuple((n, r) for n, r in self.state.grow if n != self.name)
-        self._do(replace(self.state, grow=(*others, (self.name, now)) if now else others))
+        now = max(-GROW_MAX, min(GROW_MAX, self.state.grow.get(self.name, 0) + rings))
+        self._do(replace(self.state, grow=self.state.grow | {self.name: now}))
 
     def new_object(self) -> None:
         """Start another object."""
@@ -90,13 +84,9 @@ class MarkEdit:
         old = self.name
         if not name or (name in self.state.objects and name != old):
             return False
-        self._do(
-            MarkState(
-                tuple(name if n == old else n for n in self.state.objects),
-                tuple(replace(m, object=name) if m.object == old else m for m in self.state.marks),
-                tuple((name if n == old else n, r) for n, r in self.state.grow),
-            )
-        )
+        objects = tuple(name if n == old else n for n in self.state.objects)
+        marks = tuple(replace(m, object=name) if m.object == old else m for m in self.state.marks)
+        self._do(MarkState(objects, marks, {name if n == old else n: r for n, r in self.state.grow.items()}))
         return True
 
     def choose(self, index: int) -> None:

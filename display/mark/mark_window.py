@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import itertools
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
+from imgui_bundle import imgui
 
 from core.camera import Camera, look_at
 from core.errors import BadInput, Cancelled
 from display.mark.mark_edit import MarkEdit, MarkState
 from display.picture import fit
+from display.window.controls import ORBIT_PER_HEIGHT, WALK_KEYS
 from display.window.gl_context import PictureTexture
 from display.window.gl_window import GLWindow, has_display
 from display.window.mouse import OrbitCamera
-from display.window.widgets import apply_theme
+from display.window.widgets import FIXED, apply_theme
 
-ORBIT_PER_HEIGHT = np.pi  # [rad] of rotation for a drag over the picture's height
 STEP = 0.06  # fraction of the distance per press of a walking key
 POINT_GAP = 2.0  # in screen coordinates, between two points of a stroke
-WALK = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 OUTSIDE_COLOUR = (0.05, 0.05, 0.05)
 ZOOM_STEP, ZOOM_MAX = 1.25, 16.0  # of a notch of the wheel; of the whole picture's size
 WIDTH = 248.0  # in screen coordinates at a display scale of 1
@@ -140,8 +141,6 @@ class MarkWindow:
         self._draw_panel((left, height))
 
     def _draw_marks(self) -> None:
-        from imgui_bundle import imgui
-
         draw, scale, shown = imgui.get_background_draw_list(), self._surface.scale, self.subject.view_shown()
         lines = [(m.object, m.kind, m.points) for m in self.edit.state.marks if m.view == shown]
         if self._drag in ("inside", "outside", "boxes"):
@@ -163,8 +162,6 @@ class MarkWindow:
                     draw.add_line(a, b, paint, thickness * scale)
 
     def _handle(self, kind: str, *what) -> None:
-        from imgui_bundle import imgui
-
         io = imgui.get_io()
         if kind == "move":
             self._move(*what)
@@ -245,9 +242,9 @@ class MarkWindow:
             self.tool = "inside" if self.tool == "boxes" else "boxes"
         elif name.isdigit():
             self.edit.choose(int(name) - 1)
-        elif self.subject.free is not None and name in WALK:
+        elif self.subject.free is not None and name in WALK_KEYS:
             orbit = self.subject.free.orbit
-            orbit.move(*(STEP * orbit.distance * np.array(WALK[name])))
+            orbit.move(*(STEP * orbit.distance * np.array(WALK_KEYS[name])))
         elif self.subject.free is not None and name in ("plus", "minus"):
             self.edit.grow(1 if name == "plus" else -1)
 
@@ -272,7 +269,7 @@ class MarkWindow:
         """Redo the step that was undone last."""
         self._step(self.edit.redo)
 
-    def _step(self, act) -> None:
+    def _step(self, act: Callable[[], None]) -> None:
         before = set(self.edit.state.marks)
         act()
         changed = {m.view for m in before ^ set(self.edit.state.marks)}
@@ -310,13 +307,10 @@ class MarkWindow:
 
     def _draw_panel(self, size: tuple[int, int]) -> None:
         """Draw the panel at the left, (width, height) in screen coordinates, and carry out what is clicked."""
-        from imgui_bundle import imgui
-
-        flag = imgui.WindowFlags_
         imgui.set_next_window_pos((0, 0))
         imgui.set_next_window_size(size)
-        flags = flag.no_title_bar | flag.no_resize | flag.no_move | flag.no_nav | flag.no_bring_to_front_on_focus
-        imgui.begin("Marks", None, flags)
+        flags = imgui.WindowFlags_.no_nav | imgui.WindowFlags_.no_bring_to_front_on_focus
+        imgui.begin("Marks", None, FIXED | flags)
         self._draw_objects()
         imgui.separator()
         self._draw_tools()
@@ -339,8 +333,6 @@ class MarkWindow:
         imgui.end()
 
     def _draw_objects(self) -> None:
-        from imgui_bundle import imgui
-
         edit, subject = self.edit, self.subject
         rows = min(len(edit.state.objects), LIST_ROWS)
         imgui.text("Objects")
@@ -355,12 +347,10 @@ class MarkWindow:
             if imgui.selectable(f"{k + 1}  {name}   {f'in {views}' if views else 'no marks'}##{k}", False)[0]:
                 edit.choose(k)
         imgui.end_child()
-        self._draw_buttons({"New": edit.new_object, "Delete": edit.delete, "Undo": self.undo, "Redo": self.redo})
+        draw_buttons({"New": edit.new_object, "Delete": edit.delete, "Undo": self.undo, "Redo": self.redo})
 
     def _draw_name(self, name: str) -> None:
         """The name of the current object, editable."""
-        from imgui_bundle import imgui
-
         imgui.set_next_item_width(-1.0)
         imgui.push_item_flag(imgui.ItemFlags_.no_tab_stop, True)  # Tab is for the next view
         current = name if self._typed is None else self._typed
@@ -374,25 +364,21 @@ class MarkWindow:
                 self.line = f"{text!r} cannot be its name"
 
     def _draw_tools(self) -> None:
-        from imgui_bundle import imgui
-
         for kind, text in TOOLS.items():
             if imgui.radio_button(text, self.tool == kind):
                 self.tool = kind
             if kind != "boxes":
                 imgui.same_line()
         if self.subject.free is not None:
-            self._draw_buttons({"Grow": lambda: self.edit.grow(1), "Shrink": lambda: self.edit.grow(-1)})
+            draw_buttons({"Grow": lambda: self.edit.grow(1), "Shrink": lambda: self.edit.grow(-1)})
 
     def _draw_views(self) -> None:
-        from imgui_bundle import imgui
-
         subject = self.subject
         views, shown = subject.views, subject.view_shown()
         if subject.free is None:
             at = views.index(shown)
             imgui.text(f"Photograph {at + 1} of {len(views)}")
-            self._draw_buttons({"Previous": lambda: self.turn_page(-1), "Next": lambda: self.turn_page(1)})
+            draw_buttons({"Previous": lambda: self.turn_page(-1), "Next": lambda: self.turn_page(1)})
             if len(views) > 1:
                 imgui.set_next_item_width(-1.0)
                 moved, chosen = imgui.slider_int("##photograph", at + 1, 1, len(views), shown.replace("%", "%%"))
@@ -406,15 +392,14 @@ class MarkWindow:
                 self.go_to(name)
         imgui.end_child()
 
-    def _draw_buttons(self, actions: dict) -> None:
-        """Buttons in a row."""
-        from imgui_bundle import imgui
 
-        for k, (text, act) in enumerate(actions.items()):
-            if k:
-                imgui.same_line()
-            if imgui.button(text):
-                act()
+def draw_buttons(actions: dict[str, Callable[[], object]]) -> None:
+    """Draw buttons in a row, and carry out the one that is pressed."""
+    for k, (text, act) in enumerate(actions.items()):
+        if k:
+            imgui.same_line()
+        if imgui.button(text):
+            act()
 
 
 def marked_in_window(subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]) -> MarkState:

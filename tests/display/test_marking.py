@@ -27,7 +27,7 @@ def test_steps_are_undone_and_redone():
     edit.new_object()
     edit.add("view_1", "boxes", [(0, 0), (9, 9)])
     edit.grow(1)
-    assert edit.name == "object_2" and edit.state.rings("object_2") == 1
+    assert edit.name == "object_2" and edit.state.grow == {"object_2": 1}
     for _ in range(3):
         edit.undo()
     assert edit.name == "object_1" and len(edit.state.marks) == 1

@@ -19,7 +19,6 @@ import numpy as np
 
 from assets.room_folder import PICTURE as ROOM_PICTURE
 from core.material import MATERIALS, Material
-from core.vocabulary import Light
 from display import user_commands
 from display.protocol import WorldView
 from display.timing import Timings
@@ -34,7 +33,6 @@ AUTO_TIP = "Fewer pixels while things move, if that is slow; all of them once th
 COUNTS = ("gaussians", "vertices", "tets", "substeps")  # of a world's statistics
 GRAVITY_MAX = 20.0  # [m/s^2] of the slider: twice the earth's
 LIGHT_RANGE = 4.0  # [m] of the light's sliders around the scene's target
-HUNDREDTHS = {"shadow": ("strength", 100.0, "%"), "edge": ("softness", 20.0, "cm")}  # field, largest, unit
 INTERACTIONS = {
     "Physics": "Bodies deform, collide and fall.",
     "Transform": "A body that you hold moves rigidly; nothing deforms.",
@@ -214,13 +212,7 @@ class Panel:
         filming = world.film_seconds is not None
         buttons = [
             Button("Picture", [user_commands.TakePicture()], "As a PNG, without panel and marks (F12)."),
-            Button(
-                "Film",
-                [Film(not filming)],
-                "As an MP4, without panel and marks (F9).",
-                filming,
-                "End film",
-            ),
+            Button("Film", [Film(not filming)], "As an MP4, without panel and marks (F9).", filming, "End film"),
             Button("Camera", [user_commands.WriteCamera()], "As a file for vrgs.py render --camera (Shift+F12)."),
         ]
         if not world.editable:
@@ -278,7 +270,9 @@ def material_sliders(world: WorldView, k: int) -> list[Slider]:
     material, name = world.material(k)
 
     def slider(field: str, shown_name: str, ends: tuple[float, float], shown: str, tip: str, *, log=False) -> Slider:
-        command = partial(set_property, k, material, field)
+        def command(value: float, continued: bool) -> Command:
+            return user_commands.SetMaterial(k, changed(material, field, value), continued=continued)
+
         return Slider(shown_name, getattr(material, field), *ends, shown, command, log=log, tip=tip)
 
     modulus, density = pascals(material.young), f"{material.density:,.4g} kg/m\u00b3"
@@ -295,11 +289,6 @@ def material_sliders(world: WorldView, k: int) -> list[Slider]:
         *sliders,
         slider("damping", "damping", (0.0, 50.0), f"{material.damping:.1f} /s", fading),
     ]
-
-
-def set_property(k: int, material: Material, field: str, value: float, continued: bool) -> user_commands.SetMaterial:
-    """The command that gives body k a material with another number."""
-    return user_commands.SetMaterial(k, changed(material, field, value), continued=continued)
 
 
 def changed(material: Material, field: str, value: float) -> Material:
@@ -332,11 +321,9 @@ def world_sliders(world: WorldView) -> list[Slider]:
     def set_gravity(value: float, continued: bool) -> Command:
         return user_commands.SetGravity(tuple((value * direction).tolist()), continued=continued)
 
-    def set_pace(value: float, continued: bool) -> Command:
-        return user_commands.SetTimeScale(value, continued=continued)
-
     earth, planets = float(np.linalg.norm(usual)), "Moon 1.6, Mars 3.7, Earth 9.81, Jupiter 25."
     shown, tip = "as it is" if pace == 1.0 else f"{pace:.2g} x", "Slow motion: how fast the world's time passes."
+    set_pace = user_commands.SetTimeScale
     return [
         Slider("gravity", strength, 0.0, GRAVITY_MAX, f"{strength:.2f} m/s\u00b2", set_gravity, earth, tip=planets),
         Slider("time", pace, MIN_TIME_SCALE, 1.0, shown, set_pace, 1.0, log=True, tip=tip),
@@ -346,30 +333,25 @@ def world_sliders(world: WorldView) -> list[Slider]:
 def light_section(world: WorldView) -> Section:
     """The light's kind and place, and its shadow."""
     light = world.light
-    kinds = {"Point": "", "Directional": ""}
 
     def choose(name: str) -> list[Command]:
         return [SetLight(replace(light, kind=name.lower()))]
 
-    rows: list[Row] = [Choice("kind", kinds, light.kind.capitalize(), choose)]
+    def move(axis: int, value: float, continued: bool) -> Command:
+        position = (*light.position[:axis], value, *light.position[axis + 1 :])
+        return SetLight(replace(light, position=position))
+
+    def shade(field: str, hundredths: float, continued: bool) -> Command:
+        return SetLight(replace(light, **{field: hundredths / 100.0}))
+
+    rows: list[Row] = [Choice("kind", {"Point": "", "Directional": ""}, light.kind.capitalize(), choose)]
     for axis, (name, middle) in enumerate(zip("xyz", world.scene.target, strict=True)):
         at, low, high = light.position[axis], middle - LIGHT_RANGE, middle + LIGHT_RANGE
-        rows.append(Slider(name, at, low, high, f"{at:.2f} m", partial(moved_light, light, axis)))
-    for name, (field, high, unit) in HUNDREDTHS.items():
+        rows.append(Slider(name, at, low, high, f"{at:.2f} m", partial(move, axis)))
+    for name, field, high, unit in (("shadow", "strength", 100.0, "%"), ("edge", "softness", 20.0, "cm")):
         value = 100.0 * getattr(light, field)
-        rows.append(Slider(name, value, 0.0, high, f"{value:.3g} {unit}", partial(shaded_light, light, field)))
+        rows.append(Slider(name, value, 0.0, high, f"{value:.3g} {unit}", partial(shade, field)))
     return Section("Light", rows)
-
-
-def moved_light(light: Light, axis: int, value: float, continued: bool) -> SetLight:
-    """The command that moves a light along an axis to `value` [m]."""
-    position = (*light.position[:axis], value, *light.position[axis + 1 :])
-    return SetLight(replace(light, position=position))
-
-
-def shaded_light(light: Light, field: str, hundredths: float, continued: bool) -> SetLight:
-    """The command that changes a light's field to a number of hundredths."""
-    return SetLight(replace(light, **{field: hundredths / 100.0}))
 
 
 def file_section(world: WorldView) -> Section:
@@ -389,33 +371,25 @@ def file_section(world: WorldView) -> Section:
 
 def crop_section(world: WorldView) -> Section:
     """Sliders of a box outside of which nothing is shown, and buttons to write what is left."""
-    bounds = world.file.bounds
+    bounds, box = world.file.bounds, world.file.crop or world.file.bounds
+
+    def crop(side: int, axis: int, value: float, continued: bool) -> Command:
+        corners = np.array([box.low, box.high])
+        corners[side, axis] = value
+        return user_commands.Crop(*(tuple(corner.tolist()) for corner in np.sort(corners, axis=0)))
+
+    rows: list[Row] = []
+    for axis, name in enumerate("xyz"):
+        ends = float(bounds.low[axis]), float(bounds.high[axis])
+        for side, (word, corner) in enumerate((("from", box.low), ("to", box.high))):
+            value, command = float(corner[axis]), partial(crop, side, axis)
+            rows.append(Slider(f"{name} {word}", value, *ends, f"{value:.3g} m", command, usual=ends[side]))
     everything = user_commands.Crop(tuple(bounds.low.tolist()), tuple(bounds.high.tolist()))
     buttons = [
         Button("All", [everything], "Crop nothing."),
         Button("Write", [user_commands.WriteSplats()], "What is left, as a splat file of its own (O)."),
     ]
-    return Section("Crop", [*crop_sliders(world), ButtonGrid(buttons, columns=2)])
-
-
-def crop_sliders(world: WorldView) -> list[Slider]:
-    """A slider for each side of the crop."""
-    bounds, box = world.file.bounds, world.file.crop or world.file.bounds
-    made = []
-    for axis, name in enumerate("xyz"):
-        ends = float(bounds.low[axis]), float(bounds.high[axis])
-        for side, corner, usual in (("from", box.low, ends[0]), ("to", box.high, ends[1])):
-            value = float(corner[axis])
-            command = partial(cropped, box, side, axis)
-            made.append(Slider(f"{name} {side}", value, *ends, f"{value:.3g} m", command, usual=usual))
-    return made
-
-
-def cropped(box, side: str, axis: int, value: float, continued: bool) -> user_commands.Crop:
-    """The command that moves one side of a box to `value` [m]."""
-    low, high = np.array(box.low), np.array(box.high)
-    (low if side == "from" else high)[axis] = value
-    return user_commands.Crop(tuple(np.minimum(low, high).tolist()), tuple(np.maximum(low, high).tolist()))
+    return Section("Crop", [*rows, ButtonGrid(buttons, columns=2)])
 
 
 def readable(value: float) -> float:

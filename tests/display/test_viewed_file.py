@@ -12,7 +12,7 @@ from assets.splat_files import read_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from display import user_commands
-from display.panel import crop_sliders
+from display.panel import Slider, crop_section
 from display.protocol import Frame, Line
 from display.viewed_file import UP_AXES, ViewedFile, bounds_of, scene_around
 from display.viewer import BACKGROUNDS, Viewer
@@ -68,7 +68,7 @@ def test_a_crop_leaves_what_lies_in_it_and_is_written(file, tmp_path):
 
 def test_sliders_move_one_side_each(file):
     world = N(file=file)
-    made = {slider.name: slider for slider in crop_sliders(world)}
+    made = {row.name: row for row in crop_section(world).rows if isinstance(row, Slider)}
     assert list(made) == ["x from", "x to", "y from", "y to", "z from", "z to"]
     crop = made["y from"].command(0.25, False)
     assert crop.low[1] == 0.25 and np.allclose(crop.high, file.bounds.high)

@@ -69,6 +69,7 @@ class WindowResolution:
 
     FRAME_TIME = 1 / 20  # [s] of a frame while anything moves
     MAX_SHRINK = 0.5  # of a side in one change: a slow machine must not take seconds to find its size
+    MIN_SIDE = 16  # [px]
     STILL_AFTER = 0.25  # [s] without motion before the picture is refined
 
     def __init__(self):
@@ -93,7 +94,11 @@ class WindowResolution:
         """True once nothing has moved for STILL_AFTER."""
         return self._now - self._moved >= self.STILL_AFTER
 
-    def size(self, full: tuple[int, int]) -> tuple[int, int]:
-        """(width, height) [px] of the next picture in a window of `full`."""
+    def size(self, full: tuple[int, int], scale: float | None = None) -> tuple[int, int]:
+        """(width, height) [px] of the next picture in a window of `full`; `scale` of a side, if the user chose one."""
         self._dynamic.full = full
-        return full if self.still else self._dynamic.size
+        if scale is not None:
+            full = tuple(round(side * scale) for side in full)
+        elif not self.still:
+            full = self._dynamic.size
+        return tuple(max(self.MIN_SIDE, side) for side in full)

@@ -20,9 +20,8 @@ from display.protocol import Display, Frame, WorldView
 from display.user_commands import Command
 from display.web.page_messages import WINDOW_ONLY, first_words, overlay, scene_request, world_state
 from display.web.page_server import LOOPBACK, STILL_QUALITY, PageServer
-from display.window.controls import Controls, Hover
-from display.window.gl_window import PLACES, chord_name
-from display.window.key_bindings import BY_CHORD
+from display.window.controls import Controls
+from display.window.key_bindings import BY_CHORD, PLACES, chord_name
 from scenes.scene import Scene
 
 PERIOD = 1 / 60  # [s] of a frame at least
@@ -31,7 +30,6 @@ ONE_INTERRUPT = 0.5  # [s] in which one Ctrl-C may come twice: from the terminal
 MAX_STEP = 1 / 20  # [s] of simulation at once
 SIZE = (960, 540)  # [px] before a page tells its own
 MAX_PIXELS = 1920 * 1080  # of a picture
-MIN_SIDE = 16  # [px] of a picture
 CODES = {"ShiftLeft": "shift", "ShiftRight": "shift", "NumpadAdd": "plus", "NumpadSubtract": "minus"}
 TOLD_INTERVAL = 0.1  # [s] between two states of the panel
 
@@ -63,9 +61,8 @@ class Browser(Display):
         self._controls = Controls(scene, preferences, name)
         self._resolution, self._panel = WindowResolution(), Panel()
         self._camera = self._controls.orbit.camera(*self._full)  # of the picture in full size
-        self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)  # [px] of the camera
-        self._pointing, self._hover = False, Hover()  # the pointer is over the picture
+        self._pointing = False  # the pointer is over the picture
         self._near = False  # the pointer is among the edits
         self._dropped = 0.0  # [s] that have passed and were never simulated
         self._waited = 0.0  # [s] in this frame for a page to take a picture
@@ -101,14 +98,12 @@ class Browser(Display):
         if self._largest is not None and (wanted[0] > self._largest[0] or wanted[1] > self._largest[1]):
             wanted = fit(wanted, self._largest)[2:]
         scale = min(1.0, (MAX_PIXELS / (wanted[0] * wanted[1])) ** 0.5)
-        return tuple(max(MIN_SIDE, int(side * scale)) for side in wanted)
+        return tuple(max(1, int(side * scale)) for side in wanted)
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) [px] of the picture that suits the page now."""
-        scale, full = self._panel.scale, self._full
-        wanted = self._resolution.size(full) if scale is None else (round(side * scale) for side in full)
-        return tuple(max(MIN_SIDE, side) for side in wanted)
+        return self._resolution.size(self._full, self._panel.scale)
 
     def loading(self, text: str, picture=None) -> None:
         """Show a line of text during a long operation, over a picture or the last one.
@@ -154,7 +149,8 @@ class Browser(Display):
             commands = self._handle(self._server.take(), world)
             hands = self._controls.hands(self._camera, dt, commands, world)
             self._time += dt
-            moving = self._camera_moved() or world.moving
+            self._camera = self._controls.orbit.camera(*self._full)
+            moving = self._controls.camera_moved(self._camera) or world.moving
             self._busy = moving or bool(commands or hands)
             drawing = world.timings.latest("shadow", "render", "present") + self._waited  # which fewer pixels shorten
             self._resolution.note(now, seconds, drawing, moving=moving)
@@ -193,8 +189,8 @@ class Browser(Display):
             shown, self._shown = self._shown, (id(world), world.pictures)
             self._picture += shown != self._shown
             hand = self._controls.hand.position if self._controls.drag == "grab" else None
-            cursor = self._cursor if self._pointing and self._controls.drag is None else None
-            under = self._hover.under(world, self._camera, cursor, moving=self._busy)
+            cursor = self._cursor if self._pointing else None
+            under = self._controls.hovered(world, self._camera, cursor, moving=self._busy)
             strokes = overlay(world, self._camera, hand, under, near=self._near)
             still = self._resolution.still and world.picture_size == self.size
             self._server.show(self._picture, strokes, lambda: pixels_of(world.picture), still=still)
@@ -211,12 +207,6 @@ class Browser(Display):
                 self._panel.read(world)
             own = {"grabbing": self._controls.drag == "grab", "fps": round(self._panel.fps) if self._busy else None}
             self._server.tell(world_state(world, self._panel) | own)
-
-    def _camera_moved(self) -> bool:
-        """True if the camera has moved since the last frame."""
-        self._camera = self._controls.orbit.camera(*self._full)
-        before, self._last_view = self._last_view, (self._camera.width, self._camera.world_to_camera.tobytes())
-        return before != self._last_view
 
     def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
         """Pass the player's messages to the controls; returns the commands of keys and panel."""

@@ -1,32 +1,11 @@
 """Messages to a page and from it, as JSON.
 
-A message of a page is a list of a name and its values, untrusted: all of them are checked on reading (MESSAGES).
-
-| message | |
-| --- | --- |
-| ["size", width, height] | of the page, in device pixels |
-| ["move", u, v, stamp] | the pointer; u and v in fractions of the picture, stamp: the page's clock [ms] |
-| ["button", "left", down, u, v, stamp] | a button of the mouse, or the only finger as the left one |
-| ["wheel", notches, stamp] | positive is away from the user |
-| ["pinch", notches, du, dv, stamp] | two fingers: apart is positive; their shift in fractions of the picture |
-| ["key", code, label, down, ctrl, stamp] | KeyboardEvent's code and key |
-| ["blur"] | the page has lost the focus: releases may never come |
-| ["shown", number, milliseconds] | a picture is on view; since the stamp of the last input in it, or null |
-| ["pong", number] | answer to a ping |
-| ["hidden", on] | nobody sees the page |
-| ["take"] | this page wants to play |
-| ["details", on] | the timings are on view |
-| ["edits", on] | the pointer is among the edits of a body |
-| ["panel", section, row, value, continued] | a row of the panel (panel.commands_of); continues the last change |
-| ["open", name, {option: choice}] | another scene |
-| ["leave"] | the pointer is not over the picture |
-
-The program tells what a page shows: `first_words` once for each scene, then changes of `world_state`.
+A message of a page is a list of a name and its values, untrusted: all of them are checked on reading (MESSAGES). The
+program tells what a page shows: `first_words` once for each scene, then changes of `world_state`.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from base64 import b64encode
 from typing import Annotated, Any, Literal
@@ -63,30 +42,31 @@ MESSAGE_BYTES = 4096  # of one message: none of ours has more than a few hundred
 Name = Annotated[str, Size(40)]  # of a key, of a scene and its options, of a section of the panel and its rows
 Side = Annotated[int, Range(1, 16_384)]  # [px] of a page
 Fraction = Annotated[float, Range(-4.0, 4.0)]  # of the picture: a captured pointer leaves the page, but not for long
-Stamp = Annotated[float, Range(0.0, 1e15)]  # [ms]
+Stamp = Annotated[float, Range(0.0, 1e15)]  # [ms] of the page's clock
+Milliseconds = Annotated[float, Range(0.0, 1e9)]
 Notches = Annotated[float, Range(-50.0, 50.0)]  # of a wheel at once
 Count = Annotated[int, Range(0, 2**53)]
 MESSAGES: dict[str, Any] = {
-    "size": tuple[Side, Side],
-    "move": tuple[Fraction, Fraction, Stamp],
-    "button": tuple[Literal["left", "right", "middle"], bool, Fraction, Fraction, Stamp],
-    "wheel": tuple[Notches, Stamp],
-    "pinch": tuple[Notches, Fraction, Fraction, Stamp],
-    "key": tuple[Name, Name, bool, bool, Stamp],
-    "blur": tuple[()],
-    "shown": tuple[Count, Annotated[float, Range(0.0, 1e9)] | None],
-    "pong": tuple[Count],
-    "hidden": tuple[bool],
-    "take": tuple[()],
-    "details": tuple[bool],
-    "edits": tuple[bool],
-    "panel": tuple[Name, Name, bool | Annotated[float, Range(-1e12, 1e12)] | Name, bool],
-    "open": tuple[Name, Annotated[dict[Name, Name], Size(10)]],
-    "leave": tuple[()],
+    "size": tuple[Side, Side],  # width and height of the page
+    "move": tuple[Fraction, Fraction, Stamp],  # the pointer
+    "button": tuple[Literal["left", "right", "middle"], bool, Fraction, Fraction, Stamp],  # or the only finger: left
+    "wheel": tuple[Notches, Stamp],  # positive is away from the user
+    "pinch": tuple[Notches, Fraction, Fraction, Stamp],  # two fingers: apart is positive; their shift
+    "key": tuple[Name, Name, bool, bool, Stamp],  # KeyboardEvent's code and key, whether it is down, and Ctrl
+    "blur": tuple[()],  # the page has lost the focus: releases may never come
+    "shown": tuple[Count, Milliseconds | None],  # a picture is on view; since the stamp of the last input in it
+    "pong": tuple[Count],  # answer to a ping
+    "hidden": tuple[bool],  # nobody sees the page
+    "take": tuple[()],  # this page wants to play
+    "details": tuple[bool],  # the timings are on view
+    "edits": tuple[bool],  # the pointer is among the edits of a body
+    "panel": tuple[Name, Name, bool | Annotated[float, Range(-1e12, 1e12)] | Name, bool],  # of panel.commands_of
+    "open": tuple[Name, Annotated[dict[Name, Name], Size(10)]],  # another scene, and its options
+    "leave": tuple[()],  # the pointer is not over the picture
 }
 STAMPED = ("move", "button", "wheel", "pinch", "key")  # the last value is the stamp
 # Actions of keys that a page has in its own way, or not at all.
-WINDOW_ONLY = ("toggle_panel", "toggle_menu", "toggle_help", "ask_file", "next_gizmo", "toggle_room_gizmo", "escape")
+WINDOW_ONLY = ("panel", "menu", "help", "asks_file", "next_gizmo", "toggle_room_gizmo", "escape")
 PAGE_KEYS = [
     ("F1", "show or hide the panel"),
     ("F2", "choose another scene"),
@@ -121,15 +101,13 @@ def first_words(title: str, name: str, scene: Scene) -> dict:
 
 def described_scene(demo: Demo) -> dict:
     """A scene for the menu, with its picture as a data URL, or None."""
-    options = {option.name: [str(option.default), *option.choices] for option in chosen_by_list(demo)}
     picture = picture_file(OpenScene(demo.name))
-    data = None if picture is None else "data:image/jpeg;base64," + b64encode(picture.read_bytes()).decode()
     return {
         "name": demo.name,
         "spoken": spoken(demo.name),
         "line": line_of(demo),
-        "options": options,
-        "picture": data,
+        "options": {option.name: [str(option.default), *option.choices] for option in chosen_by_list(demo)},
+        "picture": picture and "data:image/jpeg;base64," + b64encode(picture.read_bytes()).decode(),
     }
 
 
@@ -169,16 +147,14 @@ def described_section(section: Section) -> dict:
 
 def described_row(row: Row) -> dict:
     """A row of the panel, with its kind in place of its commands."""
-    kind = {"kind": type(row).__name__}
+    fields = {"kind": type(row).__name__, **vars(row)}
     if isinstance(row, ButtonGrid):
-        buttons = [{"name": b.name, "label": b.text, "tip": b.tip, "on": b.on} for b in row.buttons]
-        return kind | {"columns": row.columns, "buttons": buttons}
-    fields = {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
+        fields["buttons"] = [{"name": b.name, "label": b.text, "tip": b.tip, "on": b.on} for b in row.buttons]
     if isinstance(row, Slider) and row.usual is not None:
         fields["tip"] += " A right click brings the usual value back."
     if isinstance(row, Choice):
         fields["options"] = list(row.options.items())
-    return kind | to_plain({name: value for name, value in fields.items() if not callable(value)})
+    return to_plain({name: value for name, value in fields.items() if not callable(value)})
 
 
 def overlay(world: WorldView, camera: Camera, hand: np.ndarray | None, under: BodyState | None, *, near: bool) -> list:

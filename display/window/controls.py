@@ -37,7 +37,6 @@ RUN_FACTOR = 3.0  # walking speed with Shift
 WALK_KEYS = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, not the whole body
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
-GIZMOS = (None, "move", "turn", "scale")  # in the order of the key
 ROOM_GIZMO = "room"  # rings that turn the whole room
 HOVER_PERIOD = 0.05  # [s] between two queries for the body under the cursor
 HOVER_OPACITY = 0.5  # of the corners around it
@@ -65,9 +64,10 @@ class Press:
 class Controls:
     """State of mouse and keys: one drag at a time, keys held. Positions in picture pixels.
 
-    `drag` is "grab", "turn", "look", "pan" or None, `panel` whether the panel is on view, `help` whether the list of
-    keys is, `gizmo` which one is (GIZMOS), `quit` whether to end. `orbit` is the camera of the scene, of which the
-    preferences keep bookmarks under its `name`. Esc closes the `dialog` (an OpenDialog) while it is shown.
+    `drag` is "grab", "turn", "look", "pan" or None. `panel`, `help` (the list of keys) and `menu` (of scenes) are on
+    view; `asks_file`: the user wants to choose a file; `gizmo`: which one is on view, `quit` whether to end.
+    `orbit` is the camera of the scene, of which the preferences keep bookmarks under its `name`. Esc closes the
+    `dialog` (an OpenDialog) while it is shown.
     """
 
     def __init__(self, scene: Scene, preferences: Preferences | None = None, name: str = "", dialog=None):
@@ -80,11 +80,13 @@ class Controls:
         self.measured: list[np.ndarray] | None = None  # points (3,) whose distance sets the size; None: none are asked
         self.quit = False
         self._followed: tuple | None = None  # the last view that the world wanted
+        self._view: tuple | None = None  # of the last frame
         self._button: str | None = None
         self._lowest: float | None = None  # [m] to which a drag takes the eye down
         self._walking: set[str] = set()
         self._shift = False
         self._light_cursor: tuple | None = None  # where the light was put last, while its key is down
+        self._hovered: tuple[int | None, tuple | None, float] = (None, None, 0.0)  # body, cursor and time of a query
         self.show_scene(scene, name)
 
     def show_scene(self, scene: Scene, name: str) -> None:
@@ -112,7 +114,6 @@ class Controls:
             self._lowest = None if ground is None else ground + EYE_CLEARANCE
 
     def _measure_at(self, point: np.ndarray | None, world: WorldView) -> None:
-        """Add a point of a length to be measured."""
         if point is None:
             world.tell("Nothing is there: click on something that is seen.")
         elif len(self.measured) < 2:
@@ -176,9 +177,12 @@ class Controls:
         return []
 
     def _act(self, action, press: Press) -> list[Command]:
-        """Carry out the action of a binding; returns its commands."""
         if isinstance(action, str):
-            return getattr(self, action)(press) or []
+            named = getattr(self, action)
+            if isinstance(named, bool):
+                setattr(self, action, not named)
+                return []
+            return named(press) or []
         commands = [self._aimed(action, press)] if isinstance(action, Command) else list(action(press.world))
         self.note(commands)
         return commands
@@ -233,19 +237,14 @@ class Controls:
             self.quit = True
         return []
 
-    def toggle_help(self, press: Press) -> None:
-        """Show the list of mouse and keys, or hide it."""
-        self.help = not self.help
-
     def show_next_gizmo(self) -> None:
         """Show the next kind of gizmo, or none after the last."""
-        now = None if self.gizmo == ROOM_GIZMO else self.gizmo
-        self.gizmo = GIZMOS[(GIZMOS.index(now) + 1) % len(GIZMOS)]
+        self.gizmo = {None: "move", ROOM_GIZMO: "move", "move": "turn", "turn": "scale", "scale": None}[self.gizmo]
 
     def next_gizmo(self, press: Press) -> list[Command]:
         """Show the gizmo of the body under the cursor, or of the selected one: move, turn, scale, none."""
         self.show_next_gizmo()
-        if self.gizmo != GIZMOS[1]:
+        if self.gizmo != "move":
             return []
         select = self._aimed(user_commands.Select(press.world.selected), press)
         if select.body is None:
@@ -266,18 +265,6 @@ class Controls:
         self.measured = [] if self.measured is None else None
         if self.measured is not None:
             press.world.tell("Click two points whose distance you know (Esc: none).")
-
-    def toggle_menu(self, press: Press) -> None:
-        """Show the menu of scenes, or hide it."""
-        self.menu = not self.menu
-
-    def ask_file(self, press: Press) -> None:
-        """Let the user choose a file."""
-        self.asks_file = True
-
-    def toggle_panel(self, press: Press) -> None:
-        """Show the panel, or hide it."""
-        self.panel = not self.panel
 
     def reset_view(self, press: Press) -> None:
         """Show the scene from where it begins."""
@@ -319,6 +306,11 @@ class Controls:
         position = origin + direction * depth / float(direction @ forward)
         return [user_commands.SetLight(replace(world.light, position=tuple(map(float, position))))]
 
+    def camera_moved(self, camera: Camera) -> bool:
+        """True if the camera, for the full picture, differs from that of the last call."""
+        before, self._view = self._view, (camera.width, camera.world_to_camera.tobytes())
+        return before != self._view
+
     def let_go(self) -> None:
         """End drags and held keys, as when the window loses the focus: their releases never come."""
         self._drop()
@@ -329,44 +321,32 @@ class Controls:
         self.hand.drop()
         self.drag = self._button = None
 
-    def advance(self, camera: Camera, dt: float, *, running: bool = True, pace: float = 1.0) -> list[Hand]:
-        """Walk for `dt` [s] and return the mouse's hand, if it grips. It waits while the world does not run, and moves
-        at the world's `pace`, in seconds of the world per second of real time."""
+    def hands(self, camera: Camera, dt: float, commands: Iterable[Command], world: WorldView) -> list[Hand]:
+        """Walk for `dt` [s]; the mouse's hand then, if it grips. It moves at the world's pace, and waits while the
+        world is paused, as it may be by these commands."""
         if self._walking:
             right, up, forward = np.sum([WALK_KEYS[name] for name in self._walking], axis=0)
             speed = max(MIN_WALK_SPEED, WALK_RATE * self.orbit.distance) * (RUN_FACTOR if self._shift else 1.0)
             self.orbit.move(right * speed * dt, up * speed * dt, forward * speed * dt)
-        return self.hand.hands(camera, dt if running else 0.0, pace)
+        pause = last_of(Pause, commands)
+        waits = (world.paused if pause is None else pause.on) and last_of(SingleStep, commands) is None
+        return self.hand.hands(camera, 0.0 if waits else dt, world.time_scale)
 
-    def hands(self, camera: Camera, dt: float, commands: Iterable[Command], world: WorldView) -> list[Hand]:
-        """The mouse's hand after a frame of `dt` [s] with these commands; it waits while the world is paused."""
-        pause, step = last_of(Pause, commands), last_of(SingleStep, commands)
-        paused = world.paused if pause is None else pause.on
-        return self.advance(camera, dt, running=not paused or step is not None, pace=world.time_scale)
-
-
-class Hover:
-    """The body under the cursor, which a press of the button would take.
-
-    The world is only queried when something moves, and not in each frame: a query casts a ray."""
-
-    def __init__(self):
-        self._found: tuple[int | None, float] = (None, 0.0)  # and when [s]
-        self._cursor: tuple[float, float] | None = None  # of the last query
-
-    def under(
+    def hovered(
         self, world: WorldView, camera: Camera, cursor: tuple[float, float] | None, *, moving: bool
     ) -> BodyState | None:
-        """The body under the cursor (u, v) [px of the camera]; a cursor of None takes nothing.
+        """The body under the cursor (u, v) [px of the camera], which a press would take; a cursor of None takes none.
 
-        moving  the camera or anything in view moved
+        The world is only queried when something moves, and not in each frame: a query casts a ray.
         """
-        if cursor is None or not world.editable or world.demo:
-            self._found, self._cursor = (None, 0.0), None
+        if cursor is None or self.drag is not None or not world.editable or world.demo:
+            self._hovered = (None, None, 0.0)
             return None
+        k, before, when = self._hovered
         now = perf_counter()
-        if now - self._found[1] > HOVER_PERIOD and (moving or cursor != self._cursor):
-            hit, self._cursor = world.pick(*camera.ray(*cursor)), cursor
-            self._found = (None if hit is None else hit[1], now)
-        bodies, k = world.bodies(), self._found[0]
+        if now - when > HOVER_PERIOD and (moving or cursor != before):
+            hit = world.pick(*camera.ray(*cursor))
+            k = None if hit is None else hit[1]
+            self._hovered = (k, cursor, now)
+        bodies = world.bodies()
         return bodies[k] if k is not None and k < len(bodies) and not bodies[k].held else None

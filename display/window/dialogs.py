@@ -9,6 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+from imgui_bundle import imgui
+from imgui_bundle import portable_file_dialogs as system_dialogs
 
 from assets.splat_files import MESHES, SPLATS, kind_of
 from core.errors import BadInput
@@ -17,11 +19,20 @@ from display.panel import chosen_by_list, demos, line_of, picture_file, spoken
 from display.preferences import PathText, Preferences
 from display.protocol import WorldView
 from display.user_commands import AddBody, Command, LoadState, Measure, OpenScene, SwapRoom, TurnUp
-from display.window.widgets import ACCENT, MARGIN, QUIET, TITLE_SIZE, button_grid, pixels
+from display.window.widgets import (
+    ACCENT,
+    FIXED,
+    MARGIN,
+    QUIET,
+    button_grid,
+    heading,
+    paragraph,
+    pixels,
+    place_window,
+)
 from scenes.registry import Demo
 
 FILE_WIDTH, LENGTH_WIDTH = 460.0, 300.0  # [px] of the dialogs for files, for a length
-FOOT = 60.0  # [px] under a dialog at the lower edge, where hints stand
 SCENE_WIDTH, SCENE_PICTURE = 350.0, (128.0, 72.0)  # [px] of a scene in the menu, of its picture
 TITLE = "Open a file"
 FILTERS = ["Bodies, rooms and states", " ".join(f"*{suffix}" for suffix in (*SPLATS, *MESHES, ".h5")), "All files", "*"]
@@ -30,25 +41,25 @@ LINUX_DIALOGS = ("zenity", "kdialog", "qarma", "matedialog")  # programs that po
 
 def begin_dialog(name: str, width: float, *, foot: bool = False) -> None:
     """Begin an ImGui window without a title, `width` [px] wide, in the middle or (`foot`) at the lower edge."""
-    from imgui_bundle import imgui
-
-    area, flags = imgui.get_io().display_size, imgui.WindowFlags_
-    at, pivot = (
-        ((0.5 * area.x, area.y - pixels(FOOT)), (0.5, 1.0)) if foot else ((0.5 * area.x, 0.5 * area.y), (0.5, 0.5))
-    )
-    imgui.set_next_window_pos(at, 0, pivot)
-    imgui.set_next_window_size((min(pixels(width), area.x), 0))
-    imgui.begin(name, None, flags.no_title_bar | flags.no_resize | flags.no_move | flags.no_saved_settings)
+    place_window(foot=foot)
+    imgui.set_next_window_size((min(pixels(width), imgui.get_io().display_size.x), 0))
+    imgui.begin(name, None, FIXED)
 
 
-def write_problem(problem: str) -> None:
-    """Write what is wrong with the input, if anything is."""
-    from imgui_bundle import imgui
+def text_field(name: str, typed: str, *, focus: bool, enter: str) -> tuple[str, bool, bool]:
+    """Draw a field with the buttons `enter` and Cancel under it; its text, whether it was entered or given up."""
+    if focus:
+        imgui.set_keyboard_focus_here()
+    imgui.set_next_item_width(-1)
+    entered, typed = imgui.input_text(f"##{name}", typed, imgui.InputTextFlags_.enter_returns_true)
+    pressed = button_grid({enter: "(Enter)", "Cancel": "(Esc)"}, 2)
+    cancelled = pressed == "Cancel" or imgui.is_key_pressed(imgui.Key.escape)
+    return typed, not cancelled and (entered or pressed == enter), cancelled
 
-    if problem:
-        imgui.push_text_wrap_pos(0.0)
-        imgui.text_colored(ACCENT, problem)
-        imgui.pop_text_wrap_pos()
+
+def texture_of(gl, picture: np.ndarray):
+    """A texture with a picture (H, W, 3) uint8 RGB."""
+    return gl.texture(picture.shape[1::-1], 3, picture.tobytes(), alignment=1)
 
 
 class OpenDialog:
@@ -69,9 +80,7 @@ class OpenDialog:
         """Let the user choose a file."""
         folder = self._preferences.get("folder", PathText, "") or os.getcwd()
         if not sys.platform.startswith("linux") or any(map(shutil.which, LINUX_DIALOGS)):
-            from imgui_bundle import portable_file_dialogs as dialogs
-
-            self._system = dialogs.open_file(TITLE, folder, FILTERS)
+            self._system = system_dialogs.open_file(TITLE, folder, FILTERS)
         else:
             self.shown, self._focus, self._problem = True, True, ""
             self._typed = self._typed or os.path.join(folder, "")
@@ -110,13 +119,10 @@ class OpenDialog:
         self._commands.append({"body": AddBody, "room": SwapRoom, "state": LoadState}[kind](absolute))
 
     def _draw(self) -> None:
-        from imgui_bundle import imgui
-
         begin_dialog("open", FILE_WIDTH)
-        imgui.push_font(None, TITLE_SIZE)
-        imgui.text(TITLE)
-        imgui.pop_font()
-        write_problem(self._problem)
+        heading(TITLE)
+        if self._problem:
+            paragraph(self._problem, ACCENT)
         if self._asked:
             self._draw_question(self._asked[0])
         else:
@@ -124,32 +130,22 @@ class OpenDialog:
         imgui.end()
 
     def _draw_question(self, path: Path) -> None:
-        from imgui_bundle import imgui
-
         imgui.text_colored(QUIET, f"{path.name} is a splat. What is it here?")
         tips = {"A body": "It falls onto the play.", "The room": "The scene begins anew in it.", "Cancel": "(Esc)"}
         pressed = button_grid(tips, 3)
-        if pressed is None:
-            return
         if pressed == "Cancel":
             self.close()
-            return
-        self._open(self._asked.pop(0), "body" if pressed == "A body" else "room")
-        self.shown = bool(self._asked)
+        elif pressed is not None:
+            self._open(self._asked.pop(0), "body" if pressed == "A body" else "room")
+            self.shown = bool(self._asked)
 
     def _draw_field(self) -> None:
-        from imgui_bundle import imgui
-
         imgui.text_colored(QUIET, "Drop a splat, a mesh or an asset here, or type its path.")
-        if imgui.is_window_appearing() or self._focus:
-            imgui.set_keyboard_focus_here()
-        self._focus = False
-        imgui.set_next_item_width(-1)
-        entered, self._typed = imgui.input_text("##path", self._typed, imgui.InputTextFlags_.enter_returns_true)
-        pressed = button_grid({"Open": "(Enter)", "Cancel": "(Esc)"}, 2)
-        if pressed == "Cancel" or imgui.is_key_pressed(imgui.Key.escape):
+        focus, self._focus = self._focus or imgui.is_window_appearing(), False
+        self._typed, entered, cancelled = text_field("path", self._typed, focus=focus, enter="Open")
+        if cancelled:
             self.close()
-        elif pressed == "Open" or entered:
+        elif entered:
             self.shown, self._problem = False, ""
             self.offer([os.path.expanduser(self._typed.strip())])
 
@@ -165,24 +161,17 @@ class LengthDialog:
         if points is None or len(points) < 2:
             self._typed, self._problem, self._shown = "", "", False
             return [], False
-        from imgui_bundle import imgui
-
         begin_dialog("length", LENGTH_WIDTH, foot=True)
         imgui.text("How long is it really?")
         now = float(np.linalg.norm(np.subtract(points[1], points[0])))
         imgui.text_colored(QUIET, f"{now:.3g} m now; type 1.2 or 35 cm")
-        write_problem(self._problem)
-        if not self._shown:
-            imgui.set_keyboard_focus_here()
-        self._shown = True
-        imgui.set_next_item_width(-1)
-        entered, self._typed = imgui.input_text("##length", self._typed, imgui.InputTextFlags_.enter_returns_true)
-        pressed = button_grid({"Set": "(Enter)", "Cancel": "(Esc)"}, 2)
+        if self._problem:
+            paragraph(self._problem, ACCENT)
+        focus, self._shown = not self._shown, True
+        self._typed, entered, cancelled = text_field("length", self._typed, focus=focus, enter="Set")
         imgui.end()
-        if pressed == "Cancel" or imgui.is_key_pressed(imgui.Key.escape):
-            return [], True
-        if not (entered or pressed == "Set"):
-            return [], False
+        if not entered:
+            return [], cancelled
         try:
             start, end = (tuple(np.asarray(p).tolist()) for p in points)
             return [Measure(start, end, length_of(self._typed))], True
@@ -207,26 +196,22 @@ class UpChoice:
         choices = world.up_choices
         if not choices:
             return []
-        from imgui_bundle import imgui
-
         if choices is not self._pictures:
             for texture in self._textures:
                 texture.release()
             self._pictures = choices
-            self._textures = [self._gl.texture(p.shape[1::-1], 3, p.tobytes(), alignment=1) for _, _, p in choices]
+            self._textures = [texture_of(self._gl, picture) for _, _, picture in choices]
         area, flags = imgui.get_io().display_size, imgui.WindowFlags_
-        imgui.set_next_window_pos((0.5 * area.x, area.y - pixels(FOOT)), 0, (0.5, 1.0))
+        place_window(foot=True)
         imgui.set_next_window_size_constraints((0, 0), (area.x - 2 * pixels(MARGIN), area.y))
-        fixed = flags.no_title_bar | flags.no_resize | flags.no_move | flags.no_saved_settings
-        imgui.begin("up", None, fixed | flags.always_auto_resize | flags.horizontal_scrollbar)
+        imgui.begin("up", None, FIXED | flags.always_auto_resize | flags.horizontal_scrollbar)
         imgui.text("Which way is up? Press the picture that stands upright (Y tries the next).")
         pressed = []
         for k, ((up, chance, picture), texture) in enumerate(zip(choices, self._textures, strict=True)):
             if k:
                 imgui.same_line()
             imgui.begin_group()
-            height, width = picture.shape[:2]
-            size = (pixels(width), pixels(height))
+            size = tuple(map(pixels, picture.shape[1::-1]))
             if imgui.image_button(up, imgui.ImTextureRef(texture.glo), size):
                 pressed = [TurnUp(up)]
             imgui.text_colored(QUIET, f"{up}   {chance:.0%}")
@@ -248,20 +233,14 @@ class SceneMenu:
 
     def draw(self) -> list[Command]:
         """Draw the menu; the command to open a scene."""
-        from imgui_bundle import imgui
-
         area, edge = imgui.get_io().display_size, pixels(MARGIN)
-        imgui.set_next_window_pos((0.5 * area.x, 0.5 * area.y), 0, (0.5, 0.5))
+        place_window()
         columns = 2 if area.x >= pixels(2 * SCENE_WIDTH) + 2 * edge else 1
         width = min(columns * pixels(SCENE_WIDTH) + 2 * imgui.get_style().window_padding.x, area.x - 2 * edge)
         imgui.set_next_window_size_constraints((width, 0), (width, area.y - 2 * edge))
-        flags = imgui.WindowFlags_
-        fixed = flags.no_title_bar | flags.no_resize | flags.no_move | flags.no_saved_settings
         imgui.set_next_window_bg_alpha(0.97)
-        imgui.begin("scenes", None, fixed | flags.always_auto_resize)
-        imgui.push_font(None, TITLE_SIZE)
-        imgui.text("Scenes")
-        imgui.pop_font()
+        imgui.begin("scenes", None, FIXED | imgui.WindowFlags_.always_auto_resize)
+        heading("Scenes")
         commands: list[Command] = []
         if imgui.begin_table("scenes", columns, imgui.TableFlags_.sizing_stretch_same):
             for demo in demos():
@@ -273,8 +252,6 @@ class SceneMenu:
 
     def _cell(self, demo: Demo) -> list[Command]:
         """Draw a scene: its picture, which is a button, name, summary and options."""
-        from imgui_bundle import imgui
-
         request = OpenScene(demo.name, dict(self._options.get(demo.name, {})))
         size, begin = tuple(map(pixels, SCENE_PICTURE)), imgui.get_cursor_pos()
         imgui.push_id(demo.name)
@@ -297,23 +274,17 @@ class SceneMenu:
                     if imgui.selectable(text, text == current)[0]:
                         self._options.setdefault(demo.name, {})[option.name] = text
                 imgui.end_combo()
-        imgui.push_text_wrap_pos(0.0)
-        imgui.text_colored(QUIET, line_of(demo))
-        imgui.pop_text_wrap_pos()
+        paragraph(line_of(demo))
         imgui.end_group()
         imgui.pop_id()
         return [request] if pressed else []
 
     def _texture(self, request: OpenScene):
-        """The picture as a texture; None if there is none."""
+        """The picture as a texture; None if there is none, or none that can be read: a captured room may hold any."""
         path = picture_file(request)
         if path is not None and path not in self._textures:
             import cv2
 
-            pixels_ = cv2.imread(str(path))
-            if pixels_ is None:  # of a captured room, which may hold anything
-                return None
-            pixels_ = np.ascontiguousarray(pixels_[..., ::-1])
-            texture = self._gl.texture(pixels_.shape[1::-1], 3, pixels_.tobytes(), alignment=1)
-            self._textures[path] = texture
+            picture = cv2.imread(str(path))
+            self._textures[path] = None if picture is None else texture_of(self._gl, picture[..., ::-1])
         return self._textures.get(path)

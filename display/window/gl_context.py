@@ -147,7 +147,7 @@ class CudaTexture:
 
     def __init__(self, texture):
         self.texture = texture
-        self._functions = driver_functions()
+        self._driver = cuda_driver()
         self._make_current()
         self._resource = ctypes.c_void_p()
         self._call("cuGraphicsGLRegisterImage", ctypes.byref(self._resource), texture.glo, TEXTURE_2D, WRITE_DISCARD)
@@ -163,7 +163,7 @@ class CudaTexture:
             self._call("cuCtxSetCurrent", primary)
 
     def _call(self, name: str, *arguments) -> None:
-        status = self._functions[name](*arguments)
+        status = self._driver[name](*arguments)
         if status != 0:
             raise NoInterop(f"{name} returns {status}")
 
@@ -190,33 +190,16 @@ class CudaTexture:
     def close(self) -> None:
         """Unregister the texture, before OpenGL deletes it. Further calls do nothing."""
         if self._resource:
-            self._functions["cuGraphicsUnregisterResource"](self._resource)
+            self._driver.cuGraphicsUnregisterResource(self._resource)
             self._resource = ctypes.c_void_p()
 
 
-def driver_functions() -> dict:
-    """Functions of CUDA's driver by name. Raises NoInterop."""
+def cuda_driver() -> ctypes.CDLL:
+    """CUDA's driver. Raises NoInterop."""
     try:
-        cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+        return ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError as e:
         raise NoInterop("there is no CUDA driver") from e
-    pointer, handle, number = ctypes.c_void_p, ctypes.POINTER(ctypes.c_void_p), ctypes.c_uint
-    functions = {}
-    for name, kinds in {
-        "cuCtxGetCurrent": (handle,),
-        "cuDeviceGet": (ctypes.POINTER(ctypes.c_int), ctypes.c_int),
-        "cuDevicePrimaryCtxRetain": (handle, ctypes.c_int),
-        "cuCtxSetCurrent": (pointer,),
-        "cuGraphicsGLRegisterImage": (handle, number, number, number),
-        "cuGraphicsMapResources": (number, handle, pointer),
-        "cuGraphicsUnmapResources": (number, handle, pointer),
-        "cuGraphicsSubResourceGetMappedArray": (handle, pointer, number, number),
-        "cuMemcpy2DAsync_v2": (ctypes.POINTER(Copy2D), pointer),
-        "cuGraphicsUnregisterResource": (pointer,),
-    }.items():
-        functions[name] = cuda[name]
-        functions[name].argtypes = kinds
-    return functions
 
 
 class PictureTexture:
@@ -225,45 +208,43 @@ class PictureTexture:
     `upload` is the one place where the picture leaves Taichi: on CUDA it stays on the device, or passes
     through the host where OpenGL runs elsewhere, which is reported once. Of several `views`, one below the other,
     `draw` shows the first.
+
+    texture       the whole picture as it was uploaded, row 0 on top; None before the first
+    through_host  the picture passes through the host; None before the first
     """
 
-    def __init__(self, gl, views: int = 1):
+    def __init__(self, gl, *, views: int = 1):
         self._gl, self._views = gl, views
         self._program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
         self._triangle = gl.vertex_array(self._program, [])
         self._program["views"] = views
-        self._texture = self._shared = None
-        self.through_host: bool | None = None  # the picture passes through the host; None before the first
-
-    @property
-    def texture(self):
-        """The whole picture as it was uploaded, row 0 on top; None before the first."""
-        return self._texture
+        self.texture = self._shared = None
+        self.through_host: bool | None = None
 
     @property
     def size(self) -> tuple[int, int] | None:
         """(width, height) [px] of the last picture, None before the first."""
-        return self._texture.size if self._texture is not None else None
+        return self.texture.size if self.texture is not None else None
 
     def upload(self, picture) -> None:
         """Take over a finished picture, a ti.ndarray u32 (H, W); its size may change."""
         self._make(*picture.shape)
         if not self._share(picture):
-            self._texture.write(pixels_of(picture))
+            self.texture.write(pixels_of(picture))
 
     def upload_pixels(self, pixels: np.ndarray) -> None:
         """Take over a picture on the host, (H, W, 3) uint8 RGB."""
         height, width = pixels.shape[:2]
         self._make(height, width)
         opaque = np.full((height, width, 1), 255, np.uint8)
-        self._texture.write(np.concatenate([pixels, opaque], axis=2).tobytes())
+        self.texture.write(np.concatenate([pixels, opaque], axis=2).tobytes())
 
     def _make(self, height: int, width: int) -> None:
         """Make the texture of this size, unless it is that already."""
         if self.size != (width, height):
             self.release()
-            self._texture = self._gl.texture((width, height), 4)
-            self._texture.repeat_x = self._texture.repeat_y = False
+            self.texture = self._gl.texture((width, height), 4)
+            self.texture.repeat_x = self.texture.repeat_y = False
 
     def _share(self, picture) -> bool:
         """Copy the picture on the device; False if that is impossible here."""
@@ -276,7 +257,7 @@ class PictureTexture:
             return False
         ti.sync()  # Taichi draws in a stream of its own
         try:
-            self._shared = self._shared or CudaTexture(self._texture)
+            self._shared = self._shared or CudaTexture(self.texture)
             self._shared.write(impl.get_runtime().prog.get_ndarray_data_ptr_as_int(picture.arr))
         except NoInterop as e:
             self.through_host = True
@@ -288,9 +269,9 @@ class PictureTexture:
         """Free the texture. Further calls do nothing."""
         if self._shared is not None:
             self._shared.close()
-        if self._texture is not None:
-            self._texture.release()
-        self._texture = self._shared = None
+        if self.texture is not None:
+            self.texture.release()
+        self.texture = self._shared = None
 
     def draw(self, frame: tuple[int, int], place: tuple[int, int, int, int] | None = None) -> None:
         """Fill a framebuffer of `frame` (width, height) [px], bars at the sides if the aspect differs.
@@ -301,10 +282,10 @@ class PictureTexture:
         gl.screen.use()
         gl.viewport = (0, 0, *frame)
         gl.clear(0.0, 0.0, 0.0)
-        if self._texture is None:
+        if self.texture is None:
             return
         left, top, width, height = place or fit((self.size[0], self.size[1] // self._views), frame)
         gl.viewport = (left, frame[1] - top - height, width, height)
         gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
-        self._texture.use(0)
+        self.texture.use(0)
         self._triangle.render(gl.TRIANGLES, vertices=3)

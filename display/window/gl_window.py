@@ -2,48 +2,22 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 
+from imgui_bundle import imgui  # isort: skip  # first: it names the GLFW library that both then use
+import glfw  # isort: skip
+
 from core.errors import BadInput
 from display.window.gl_context import HEADLESS_INSTEAD, NO_DISPLAY, context_of
-
-WALKING = "wasdqe"  # keys by their place on a QWERTY keyboard; all other letters by what is printed on them
-NAMED = ["home", "escape", "enter", "space", "tab", "delete", *(f"f{k}" for k in range(1, 13))]
-PLACES = frozenset([*NAMED, *"abcdefghijklmnopqrstuvwxyz123456789"])
-SYMBOLS = {"+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
-
-
-def key_name(place: str | None, printed: str) -> str | None:
-    """Name of a key by its place on a QWERTY keyboard (or None) and what is printed on it; None: no key of ours."""
-    if place is not None and (len(place) > 1 or place in WALKING or place.isdigit()):
-        return place
-    if printed in SYMBOLS:
-        return SYMBOLS[printed]
-    if printed.isascii() and printed.isalpha():
-        return None if printed in WALKING else printed
-    return place  # other alphabets
-
-
-def chord_name(place: str | None, printed: str, *, down: bool, ctrl: bool) -> str | None:
-    """As `key_name`, after "ctrl+" where a key goes down with that; then letters are as printed."""
-    name = printed if ctrl and printed.isascii() and printed.isalpha() else key_name(place, printed)
-    return f"ctrl+{name}" if name is not None and ctrl and down and name != "shift" else name
-
-
-def import_glfw():
-    """Import the module glfw. ImGui comes first: it names the GLFW library that both then use."""
-    import imgui_bundle  # noqa: F401
-    import glfw  # isort: skip
-
-    return glfw
+from display.window.key_bindings import PLACES, chord_name
 
 
 def has_display() -> bool:
     """True if this process can open a window."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return False
-    glfw = import_glfw()
     glfw.set_error_callback(lambda code, text: None)  # the answer says enough
     if sys.platform.startswith("linux") and os.environ.get("DISPLAY"):
         glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_X11)  # also under Wayland: it draws no frame without libdecor
@@ -60,7 +34,6 @@ class GLWindow:
     def __init__(self, title: str, width: int, height: int, *, vsync: bool):
         if not has_display():
             raise BadInput(f"{NO_DISPLAY}; {HEADLESS_INSTEAD}")
-        self.glfw = glfw = import_glfw()
         errors: list[str] = []
         glfw.set_error_callback(lambda code, text: errors.append(text.decode(errors="replace")))
         for hint, value in {
@@ -85,7 +58,7 @@ class GLWindow:
 
     def _listen(self) -> None:
         """Queue the events: they are handled in order, once a frame, when ImGui knows what the cursor is over."""
-        glfw, add = self.glfw, self._events.append
+        add = self._events.append
         buttons = {glfw.MOUSE_BUTTON_LEFT: "left", glfw.MOUSE_BUTTON_RIGHT: "right", glfw.MOUSE_BUTTON_MIDDLE: "middle"}
         keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in PLACES}
         keys |= {glfw.KEY_LEFT_SHIFT: "shift", glfw.KEY_RIGHT_SHIFT: "shift"}
@@ -124,49 +97,44 @@ class GLWindow:
 
     def _start_imgui(self) -> float:
         """Start ImGui; its callbacks call ours in turn. Returns the scale of text and widgets, 1 as usual."""
-        import ctypes
-
-        from imgui_bundle import imgui
-
         imgui.create_context()
         imgui.get_io().set_ini_filename("")  # no settings file in the working directory
         imgui.backends.glfw_init_for_opengl(ctypes.cast(self.handle, ctypes.c_void_p).value, True)
         imgui.backends.opengl3_init("#version 330")
         pixels = self.frame_size[0] / max(self.window_size[0], 1)  # 2 on a Retina screen, else 1
-        return self.glfw.get_window_content_scale(self.handle)[0] / pixels
+        return glfw.get_window_content_scale(self.handle)[0] / pixels
 
     @property
     def frame_size(self) -> tuple[int, int]:
         """(width, height) of the framebuffer [px]; (0, 0) while minimised on some systems."""
-        return self.glfw.get_framebuffer_size(self.handle)
+        return glfw.get_framebuffer_size(self.handle)
 
     @property
     def window_size(self) -> tuple[int, int]:
         """(width, height) in screen coordinates."""
-        return self.glfw.get_window_size(self.handle)
+        return glfw.get_window_size(self.handle)
 
     def set_title(self, title: str) -> None:
         """Show another title."""
-        self.glfw.set_window_title(self.handle, title)
+        glfw.set_window_title(self.handle, title)
 
     @property
     def closing(self) -> bool:
         """True once the user has asked to close the window."""
-        return bool(self.glfw.window_should_close(self.handle))
+        return bool(glfw.window_should_close(self.handle))
 
     def stay(self) -> None:
         """Ignore the user's request to close the window."""
-        self.glfw.set_window_should_close(self.handle, False)
+        glfw.set_window_should_close(self.handle, False)
 
     def geometry(self) -> dict:
         """Placement for `restore`: "size" and "place" in screen coordinates, or "maximized" alone."""
-        if self.glfw.get_window_attrib(self.handle, self.glfw.MAXIMIZED):
+        if glfw.get_window_attrib(self.handle, glfw.MAXIMIZED):
             return {"maximized": True}
-        return {"size": [*self.window_size], "place": [*self.glfw.get_window_pos(self.handle)], "maximized": False}
+        return {"size": [*self.window_size], "place": [*glfw.get_window_pos(self.handle)], "maximized": False}
 
     def restore(self, size, place, maximized: bool) -> None:
         """Give the window the size, place (None: as it is) and state that it had, as far as a screen shows them."""
-        glfw = self.glfw
         areas = [glfw.get_monitor_workarea(monitor) for monitor in glfw.get_monitors()]
         width = (size or self.window_size)[0]
         shown = place and [a for a in areas if covers(a, place[0] + width / 2, place[1])]
@@ -180,16 +148,14 @@ class GLWindow:
 
     def asleep(self) -> bool:
         """True while the window is minimised; waits briefly in that case."""
-        if self.glfw.get_window_attrib(self.handle, self.glfw.ICONIFIED) or 0 in self.frame_size:
-            self.glfw.wait_events_timeout(0.1)
+        if glfw.get_window_attrib(self.handle, glfw.ICONIFIED) or 0 in self.frame_size:
+            glfw.wait_events_timeout(0.1)
             return True
         return False
 
     def begin(self) -> list[tuple]:
         """Begin a frame: the events since the last one. ImGui calls are allowed until `end`."""
-        from imgui_bundle import imgui
-
-        self.glfw.poll_events()
+        glfw.poll_events()
         events = self._events.copy()
         self._events.clear()
         imgui.backends.opengl3_new_frame()
@@ -199,27 +165,23 @@ class GLWindow:
 
     def end(self) -> None:
         """Draw ImGui's part over what was drawn. `swap` shows it."""
-        from imgui_bundle import imgui
-
         imgui.render()
         imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
 
     def swap(self) -> None:
         """Show the frame; waits for the screen with vsync."""
-        self.glfw.swap_buffers(self.handle)
+        glfw.swap_buffers(self.handle)
 
     def close(self) -> None:
         """Close the window. Further calls do nothing."""
-        from imgui_bundle import imgui
-
         if self.handle is None:
             return
         imgui.backends.opengl3_shutdown()
         imgui.backends.glfw_shutdown()
         imgui.destroy_context()
         self.gl.release()
-        self.glfw.destroy_window(self.handle)
-        self.glfw.terminate()
+        glfw.destroy_window(self.handle)
+        glfw.terminate()
         self.handle = None
 
 

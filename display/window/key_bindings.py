@@ -1,7 +1,7 @@
 """Table of the mouse and keys of the window: what controls obey, the panel lists, and docs/play.md shows.
 
 A chord is the name of a key after its modifiers, "ctrl+shift+z". Keys have the name that is printed on them, but
-WASD and QE the place that they have on a QWERTY keyboard (display/window/gl_window.py).
+WASD and QE the place that they have on a QWERTY keyboard.
 """
 
 from __future__ import annotations
@@ -14,8 +14,11 @@ from display.protocol import WorldView
 from display.user_commands import EDITS, Command
 
 NAMES = {"plus": "+", "minus": "-", "comma": ",", "period": ".", "delete": "Del", "escape": "Esc"}  # else capitalised
-
 DIGITS = tuple("123456789")
+WALKING = "wasdqe"  # keys by their place on a QWERTY keyboard; all other letters by what is printed on them
+NAMED = ["home", "escape", "enter", "space", "tab", "delete", *(f"f{k}" for k in range(1, 13))]
+PLACES = frozenset([*NAMED, *"abcdefghijklmnopqrstuvwxyz123456789"])
+SYMBOLS = {"+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
 
 
 @dataclass(frozen=True)
@@ -25,8 +28,8 @@ class KeyBinding:
     keys    chords that all do the same; none of a gesture of the mouse
     label   what they do, for the user
     action  a command, whose body, if it has one, is that under the cursor; a function of the world that gives commands;
-            or the name of a method of Controls that takes a Press. None: the keys act as long as they are held, and
-            Controls knows them
+            or the name of a method of Controls that takes a Press, or of a switch there. None: the keys act as long as
+            they are held, and Controls knows them
     text    how the user reads the keys; "": made from `keys`
     bodies  True: only where there are bodies, False: only where there are none
     """
@@ -97,8 +100,8 @@ BINDINGS = (
     KeyBinding(("ctrl+l",), "go on from the state that was saved last", user_commands.LoadState(), bodies=True),
     KeyBinding(("ctrl+e",), "export the scene as a splat file", user_commands.Export(), bodies=True),
     KeyBinding(("f9",), "film: begin, finish", lambda world: [user_commands.Film(world.film_seconds is None)]),
-    KeyBinding(("f2",), "choose another scene", "toggle_menu", bodies=True),
-    KeyBinding(("ctrl+o",), "open a file as a body or a room", "ask_file", bodies=True),
+    KeyBinding(("f2",), "choose another scene", "menu", bodies=True),
+    KeyBinding(("ctrl+o",), "open a file as a body or a room", "asks_file", bodies=True),
     KeyBinding(
         ("m",),
         "sound on or off",
@@ -110,8 +113,8 @@ BINDINGS = (
     KeyBinding(("x",), "axes", lambda world: [user_commands.ShowAxes(not world.axes)], bodies=False),
     KeyBinding(("b",), "next background", user_commands.NextBackground(), bodies=False),
     KeyBinding(("o",), "write what the crop leaves", user_commands.WriteSplats(), bodies=False),
-    KeyBinding(("f1",), "show or hide the panel", "toggle_panel"),
-    KeyBinding(("h",), "list of mouse and keys", "toggle_help"),
+    KeyBinding(("f1",), "show or hide the panel", "panel"),
+    KeyBinding(("h",), "list of mouse and keys", "help"),
     KeyBinding(("escape",), "end drag or demonstration; quit", "escape"),
 )
 BY_CHORD = {chord: binding for binding in BINDINGS for chord in binding.keys}
@@ -128,3 +131,20 @@ def bound(name: str, *, shift: bool, bodies: bool) -> KeyBinding | None:
 def help_rows(bodies: bool, without: Sequence[str] = ()) -> list[tuple[str, str]]:
     """(keys, meaning) for the user, in a world with bodies or without; some actions may be left out."""
     return [(b.shown, b.label) for b in BINDINGS if b.bodies in (None, bodies) and b.action not in without]
+
+
+def key_name(place: str | None, printed: str) -> str | None:
+    """Name of a key by its place on a QWERTY keyboard (or None) and what is printed on it; None: no key of ours."""
+    if place is not None and (len(place) > 1 or place in WALKING or place.isdigit()):
+        return place
+    if printed in SYMBOLS:
+        return SYMBOLS[printed]
+    if printed.isascii() and printed.isalpha():
+        return None if printed in WALKING else printed
+    return place  # other alphabets
+
+
+def chord_name(place: str | None, printed: str, *, down: bool, ctrl: bool) -> str | None:
+    """As `key_name`, after "ctrl+" where a key goes down with that; then letters are as printed."""
+    name = printed if ctrl and printed.isascii() and printed.isalpha() else key_name(place, printed)
+    return f"ctrl+{name}" if name is not None and ctrl and down and name != "shift" else name

@@ -148,25 +148,16 @@ class MouseHand:
             self.position = self.position + self._velocity * dt * pace
         elif dt > 0.0:
             self._pace = pace
-            goal = self._goal(camera)
-            self._follow(goal, dt * pace)
-            self._note_goal(goal, dt)
+            origin, direction = camera.ray(self._u, self._v)
+            goal = origin + direction * (self._depth / float(direction @ camera.world_to_camera[2, :3]))
+            step = (goal - self.position) * (1.0 - np.exp(-dt * pace / FOLLOW_TIME))
+            self.position = self.position + clamp_length(step, MAX_SPEED * dt * pace)
+            self._clock += dt
+            self._goals.append((self._clock, goal))
+            while len(self._goals) > 2 and self._clock - self._goals[0][0] > THROW_WINDOW:
+                self._goals.popleft()
         self._fresh, self._given = False, True
         return [Hand(position=tuple(map(float, self.position)), grip=True, reach=self._radius)]
-
-    def _follow(self, goal: np.ndarray, dt: float) -> None:
-        step = (goal - self.position) * (1.0 - np.exp(-dt / FOLLOW_TIME))
-        self.position = self.position + clamp_length(step, MAX_SPEED * dt)
-
-    def _note_goal(self, goal: np.ndarray, dt: float) -> None:
-        self._clock += dt
-        self._goals.append((self._clock, goal))
-        while len(self._goals) > 2 and self._clock - self._goals[0][0] > THROW_WINDOW:
-            self._goals.popleft()
-
-    def _goal(self, camera: Camera) -> np.ndarray:
-        origin, direction = camera.ray(self._u, self._v)
-        return origin + direction * (self._depth / float(direction @ camera.world_to_camera[2, :3]))
 
 
 def clamp_length(vector: np.ndarray, max_length: float) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from time import monotonic
 
 import numpy as np
+from imgui_bundle import imgui, imguizmo
 
 from core.camera import Camera, project, view_depth
 from core.rotation import quaternions_from_matrices
@@ -13,7 +14,18 @@ from display.panel import score_and_message
 from display.protocol import Line, WorldView
 from display.user_commands import Command, Place, Rescale, TurnRoom
 from display.window.key_bindings import help_rows
-from display.window.widgets import ACCENT, MARGIN, QUIET, TEXT, TITLE_SIZE, pixels, text_right
+from display.window.widgets import (
+    ACCENT,
+    FIXED,
+    MARGIN,
+    QUIET,
+    TEXT,
+    heading,
+    paragraph,
+    pixels,
+    place_window,
+    text_right,
+)
 
 DEMONSTRATION = "A demonstration plays. P or Esc ends it, and so does a grip."
 PAUSED = "Paused. Space continues."
@@ -43,8 +55,6 @@ def text_box(
     The size is computed here: a window that ImGui fits to its content is cut off in its first frame, which is the one
     that stays on the screen while something takes long.
     """
-    from imgui_bundle import imgui
-
     style, area, edge = imgui.get_style(), imgui.get_io().display_size, pixels(MARGIN) * scale
     imgui.push_style_var(
         imgui.StyleVar_.window_padding, (style.window_padding.x * scale, style.window_padding.y * scale)
@@ -60,30 +70,22 @@ def text_box(
     imgui.set_next_window_size(size)
     flags = imgui.WindowFlags_
     still = flags.no_decoration | flags.no_inputs | flags.no_saved_settings | flags.no_bring_to_front_on_focus
-    imgui.begin(name, None, still | flags.no_nav | flags.no_focus_on_appearing)
+    imgui.begin(name, None, still | flags.no_focus_on_appearing)
     for line in lines:
         for k, (text, colour) in enumerate(line):
             if k:
                 imgui.same_line(0, gap)
-            imgui.push_text_wrap_pos(0.0)
-            imgui.text_colored(colour, text)
-            imgui.pop_text_wrap_pos()
+            paragraph(text, colour)
     imgui.end()
     imgui.pop_style_var()
 
 
 def lines_of(world: WorldView) -> list[TextLine]:
-    """Lines at the top of the picture, from the score to notices and what is being opened."""
+    """Lines for the top of the picture, from the score to notices and what is being opened."""
     score, message = score_and_message(world) if world.editable else ("", "")
     state = PAUSED if world.paused else DEMONSTRATION if world.demo else ""
     lines = [[(score, ACCENT), (message, TEXT)], *([(t, ACCENT)] for t in (state, world.notice, world.opening))]
     return [kept for line in lines if (kept := [(text, colour) for text, colour in line if text])]
-
-
-def draw_score(world: WorldView, left: float) -> None:
-    """Draw the lines at the top, right of `left` [px]."""
-    if lines := lines_of(world):
-        text_box("score", lines, left, gap=pixels(12))
 
 
 def hints(world: WorldView) -> list[tuple[str, str]]:
@@ -102,8 +104,6 @@ class FirstHint:
 
     def draw(self, world: WorldView, left: float, *, done: bool) -> None:
         """Draw it at the bottom, right of `left` [px]; unless it has faded."""
-        from imgui_bundle import imgui
-
         if done and self._faded is None:
             self._faded = monotonic() + FADE_TIME
         opacity = 1.0 if self._faded is None else (self._faded - monotonic()) / FADE_TIME
@@ -123,20 +123,14 @@ class FirstHint:
 
 def draw_help(*, bodies: bool) -> bool:
     """Draw a card with all that mouse and keys do, for a world with bodies or without; True if it was clicked away."""
-    from imgui_bundle import imgui
-
     area, edge = imgui.get_io().display_size, pixels(MARGIN)
     width = min(pixels(2 * HELP_COLUMN), area.x - 2 * edge)
-    imgui.set_next_window_pos((0.5 * area.x, 0.5 * area.y), 0, (0.5, 0.5))
+    place_window()
     imgui.set_next_window_size_constraints((width, 0), (width, max(area.y - 2 * edge, 1.0)))
-    flags = imgui.WindowFlags_
-    fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings | flags.no_nav
     imgui.set_next_window_bg_alpha(0.95)
     imgui.set_next_window_focus()  # over the panel
-    imgui.begin("help", None, fixed)
-    imgui.push_font(None, TITLE_SIZE)
-    imgui.text("Mouse and keys")
-    imgui.pop_font()
+    imgui.begin("help", None, FIXED | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_nav)
+    heading("Mouse and keys")
     imgui.same_line()
     imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + pixels(4))
     text_right("H, Esc or a click closes this", QUIET)
@@ -172,8 +166,6 @@ def visible_part(line: Line, camera: Camera) -> tuple[tuple[float, float], tuple
 
 def draw_lines(lines: Iterable[Line], camera: Camera, from_picture: Callable, scale: float) -> None:
     """Draw lines of a world under the panel; `from_picture` gives screen coordinates of the picture's pixels."""
-    from imgui_bundle import imgui
-
     draw_list = imgui.get_background_draw_list()
     for line in lines:
         ends = visible_part(line, camera)
@@ -221,8 +213,6 @@ class Gizmo:
     ) -> list[Command]:
         """Draw the handles of `kind` at the centre (3,) of body k into an area (left, top, width, height) [px]; the
         user's commands. None: of the room, which can be turned only."""
-        from imgui_bundle import imgui, imguizmo
-
         gizmo = imguizmo.im_guizmo
         operation = {"move": "translate", "turn": "rotate", "scale": "scale"}[kind]
         if not self._dragging:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from imgui_bundle import imgui
+
 from display.panel import ButtonGrid, Choice, Panel, Section, Slider, Table, Text, Toggle
 from display.protocol import WorldView
 from display.user_commands import Command
-from display.window.overlay import draw_help, draw_score
+from display.window.overlay import draw_help, lines_of, text_box
 from display.window.widgets import (
     ACCENT,
+    FIXED,
     MARGIN,
     QUIET,
     TITLE_SIZE,
@@ -18,9 +21,9 @@ from display.window.widgets import (
     button_grid,
     choice,
     draw_slider,
+    paragraph,
     pixels,
     shortened,
-    table_row,
     text_right,
     width_of,
 )
@@ -44,8 +47,6 @@ class PanelDrawer:
     @property
     def right(self) -> float:
         """Left edge of the picture beside the panel [px]."""
-        from imgui_bundle import imgui
-
         return pixels(WIDTH + 2 * MARGIN) + 2 * imgui.get_style().window_padding.x if self._visible else 0.0
 
     @property
@@ -61,15 +62,14 @@ class PanelDrawer:
     def draw(self, world: WorldView, *, visible: bool) -> list[Command]:
         """Draw one frame of the panel, of the score and of the card of keys; the commands that the user gives."""
         self._visible, self._hovered, self.pressed = visible, "", ""
-        draw_score(world, self.right)
+        if lines := lines_of(world):
+            text_box("score", lines, self.right, gap=pixels(12))
         commands = self._panel(world) if visible else []
         if self.help:
             self.help = not draw_help(bodies=world.editable)
         return commands
 
     def _panel(self, world: WorldView) -> list[Command]:
-        from imgui_bundle import imgui
-
         self.panel.read(world)
         edge, padding = pixels(MARGIN), imgui.get_style().window_padding.x
         width, height = pixels(WIDTH) + 2 * padding, max(imgui.get_io().display_size.y - 2 * edge, 1.0)
@@ -77,16 +77,13 @@ class PanelDrawer:
         imgui.set_next_window_size_constraints((width, 0), (width, height))
         imgui.set_next_window_content_size((pixels(WIDTH), 0))  # a scroll bar is beside it, in the padding
         flags = imgui.WindowFlags_
-        fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings
-        imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)
-        self._title(world)
+        imgui.begin("panel", None, FIXED | flags.always_auto_resize | flags.no_nav | flags.no_focus_on_appearing)
+        self._draw_title(world)
         commands = [command for section in self.panel.sections(world) for command in self._section(section)]
         imgui.end()
         return commands
 
-    def _title(self, world: WorldView) -> None:
-        from imgui_bundle import imgui
-
+    def _draw_title(self, world: WorldView) -> None:
         imgui.push_font(None, TITLE_SIZE)
         title, rate = self.title.split(": ")[-1].replace("_", " "), f"{self.panel.fps:.0f} fps"
         imgui.text(shortened(title, width_of(1) - pixels(90)))  # the window has all of it
@@ -106,8 +103,6 @@ class PanelDrawer:
 
     def _section(self, section: Section) -> list[Command]:
         """Draw a section under its header, if it is open; its commands."""
-        from imgui_bundle import imgui
-
         title = section.title
         if not section.plain:
             label = shortened(section.label or title, width_of(1) - pixels(40))
@@ -128,8 +123,6 @@ class PanelDrawer:
 
     def _row(self, title: str, row) -> list[Command]:
         """Draw a row of the section of that title; its commands."""
-        from imgui_bundle import imgui
-
         match row:
             case Slider():
                 return draw_slider(row, self._changed)
@@ -146,21 +139,22 @@ class PanelDrawer:
                 toggled, on = imgui.checkbox(row.name, row.on)
                 return list(row.switch(on)) if toggled else []
             case Text():
-                imgui.push_text_wrap_pos(0.0)
-                imgui.text_colored(QUIET, row.text)
-                imgui.pop_text_wrap_pos()
+                paragraph(row.text)
             case Table() if row.rows:
                 imgui.begin_table(f"table {title}", len(row.rows[0]), imgui.TableFlags_.sizing_stretch_prop)
                 for k, (name, *values) in enumerate(row.rows):
-                    table_row(name, *values, colour=QUIET if row.head and k == 0 else None)
+                    imgui.table_next_row()
+                    imgui.table_next_column()
+                    imgui.text_colored(QUIET, name)
+                    for value in values:
+                        imgui.table_next_column()
+                        text_right(value, QUIET if row.head and k == 0 else None)
                 imgui.end_table()
         return []
 
 
 def unfolding_list(row: Choice) -> str:
     """Draw a choice as a list that unfolds, with what is said of each option after its name. Returns the chosen one."""
-    from imgui_bundle import imgui
-
     chosen = row.current
     imgui.set_next_item_width(-1)
     unfolded = imgui.begin_combo(f"##{row.name}", row.current)

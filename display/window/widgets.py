@@ -9,6 +9,9 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import imgui_bundle
+from imgui_bundle import imgui
+
 from display.panel import Slider, readable
 from display.user_commands import Command
 
@@ -23,20 +26,23 @@ MARGIN = 12.0  # [px] from the window's edge
 WIDTH = 208.0  # [px] of the panel's content: at 960 x 540 it leaves three quarters of the picture
 KNOB = (0.86, 0.88, 0.91, 1.0)  # of a slider
 TRACK = (1.0, 1.0, 1.0, 0.14)
+FOOT = 60.0  # [px] under a window at the lower edge, where hints stand
+FIXED = (
+    imgui.WindowFlags_.no_title_bar
+    | imgui.WindowFlags_.no_resize
+    | imgui.WindowFlags_.no_move
+    | imgui.WindowFlags_.no_saved_settings
+)
 RESET_TIP = "Ctrl+click types a value, a right click brings the usual one back."
 
 
 def font_file() -> Path:
     """Roboto, which comes with ImGui."""
-    import imgui_bundle
-
     return Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
 
 
 def apply_theme(scale: float) -> None:
     """Set fonts, sizes and colours of the current ImGui context; `scale` enlarges all of it."""
-    from imgui_bundle import imgui
-
     io, style = imgui.get_io(), imgui.get_style()
     io.fonts.add_font_from_file_ttf(str(font_file()), TEXT_SIZE)
     imgui.style_colors_dark()
@@ -77,23 +83,38 @@ def apply_theme(scale: float) -> None:
 
 def pixels(length: float) -> float:
     """A length [px] at a display scale of 1, in pixels of this display."""
-    from imgui_bundle import imgui
-
     return length * imgui.get_style().font_scale_dpi
+
+
+def place_window(*, foot: bool = False) -> None:
+    """Put the next window in the middle, or (`foot`) at the lower edge."""
+    area = imgui.get_io().display_size
+    y, pivot = (area.y - pixels(FOOT), 1.0) if foot else (0.5 * area.y, 0.5)
+    imgui.set_next_window_pos((0.5 * area.x, y), 0, (0.5, pivot))
+
+
+def heading(text: str) -> None:
+    """Draw a title."""
+    imgui.push_font(None, TITLE_SIZE)
+    imgui.text(text)
+    imgui.pop_font()
+
+
+def paragraph(text: str, colour: tuple[float, ...] = QUIET) -> None:
+    """Draw a text in as many lines as it needs."""
+    imgui.push_text_wrap_pos(0.0)
+    imgui.text_colored(colour, text)
+    imgui.pop_text_wrap_pos()
 
 
 def width_of(count: int, gap: float | None = None) -> float:
     """Width [px] of each of `count` widgets side by side; `gap` is that between items unless given."""
-    from imgui_bundle import imgui
-
     gap = imgui.get_style().item_spacing.x if gap is None else gap
     return (imgui.get_content_region_avail().x - gap * (count - 1)) / count
 
 
 def button_grid(names: Mapping[str, str], columns: int) -> str | None:
     """Draw buttons, `columns` in a row, with their tips. Returns the name of the one that was pressed."""
-    from imgui_bundle import imgui
-
     size, pressed = (width_of(columns), 0), None
     for k, (name, tip) in enumerate(names.items()):
         if k % columns:
@@ -107,8 +128,6 @@ def button_grid(names: Mapping[str, str], columns: int) -> str | None:
 
 def choice(names: Mapping[str, str], current: str) -> str:
     """Draw buttons side by side, with their tips, of which one is on. Returns the chosen name."""
-    from imgui_bundle import imgui
-
     gap = pixels(2)
     size = (width_of(len(names), gap), 0)
     for index, (name, tip) in enumerate(names.items()):
@@ -128,27 +147,13 @@ def choice(names: Mapping[str, str], current: str) -> str:
     return current
 
 
-def table_row(name: str, *values: str, colour: tuple[float, ...] | None = None) -> None:
-    """Draw a row of a table: the name, then values flush right."""
-    from imgui_bundle import imgui
-
-    imgui.table_next_row()
-    imgui.table_next_column()
-    imgui.text_colored(QUIET, name)
-    for value in values:
-        imgui.table_next_column()
-        text_right(value, colour)
-
-
 def draw_slider(slider: Slider, changed_before: set[str]) -> list[Command]:
     """Draw a slider under its name and value: nothing covers a number. Ctrl+click types one, a right click resets it.
 
     `changed_before` holds the names of sliders that were changed since the mouse went down on them: a drag is undone as
     one. Returns the command of a new value.
     """
-    from imgui_bundle import imgui
-
-    flags, name, value, usual = imgui.SliderFlags_, slider.name, slider.value, slider.usual
+    flags, name, value = imgui.SliderFlags_, slider.name, slider.value
     imgui.text_colored(QUIET, name)
     imgui.same_line()
     text_right(slider.shown)
@@ -163,13 +168,14 @@ def draw_slider(slider: Slider, changed_before: set[str]) -> list[Command]:
     imgui.pop_style_color(5)
     imgui.pop_style_var()
     if not (imgui.is_item_active() and imgui.get_io().want_text_input):
-        draw_track(fraction_of(value, slider.low, slider.high, slider.log))
+        draw_track(slider)
     if imgui.is_item_activated():
         changed_before.discard(name)
-    if imgui.is_item_hovered() and imgui.is_mouse_clicked(imgui.MouseButton_.right) and usual not in (None, value):
+    reset = imgui.is_item_hovered() and imgui.is_mouse_clicked(imgui.MouseButton_.right)
+    if reset and slider.usual not in (None, value):
         changed_before.discard(name)
-        return [slider.command(usual, False)]
-    tip = " ".join(filter(None, (slider.tip, "" if usual is None else RESET_TIP)))
+        return [slider.command(slider.usual, False)]
+    tip = " ".join(filter(None, (slider.tip, "" if slider.usual is None else RESET_TIP)))
     if tip:
         imgui.set_item_tooltip(tip)
     new = readable(new)
@@ -180,17 +186,12 @@ def draw_slider(slider: Slider, changed_before: set[str]) -> list[Command]:
     return [slider.command(new, continued)]
 
 
-def fraction_of(value: float, low: float, high: float, log: bool) -> float:
-    """Place of a value between the ends of a slider, 0 to 1."""
-    if log:
-        value, low, high = math.log(max(value, low)), math.log(low), math.log(high)
-    return min(max((value - low) / (high - low), 0.0), 1.0)
-
-
-def draw_track(fraction: float) -> None:
+def draw_track(slider: Slider) -> None:
     """Draw line and knob of the slider that was the last item."""
-    from imgui_bundle import imgui
-
+    value, first, last = slider.value, slider.low, slider.high
+    if slider.log:
+        value, first, last = math.log(max(value, first)), math.log(first), math.log(last)
+    fraction = min(max((value - first) / (last - first), 0.0), 1.0)
     draw_list, low, high = imgui.get_window_draw_list(), imgui.get_item_rect_min(), imgui.get_item_rect_max()
     busy = imgui.is_item_active()
     radius, half = pixels(6 if busy or imgui.is_item_hovered() else 5), pixels(1.5)
@@ -204,10 +205,7 @@ def draw_track(fraction: float) -> None:
 
 def shortened(text: str, width: float) -> str:
     """A text that is no wider than this [px]: the middle of a longer one is left out."""
-    from imgui_bundle import imgui
-
-    kept = len(text)
-    short = text
+    short, kept = text, len(text)
     while kept > 2 and imgui.calc_text_size(short).x > width:
         kept -= 1
         short = f"{text[: (kept + 1) // 2]}...{text[len(text) - kept // 2 :]}"
@@ -216,8 +214,6 @@ def shortened(text: str, width: float) -> str:
 
 def text_right(text: str, colour: tuple[float, ...] | None = None, beside: float = 0.0) -> None:
     """Draw a text flush right, so that `beside` [px] are left there."""
-    from imgui_bundle import imgui
-
     space = imgui.get_content_region_avail().x - imgui.calc_text_size(text).x - beside
     imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(space, 0.0))
     imgui.text_colored(colour or imgui.get_style().color_(imgui.Col_.text), text)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from time import perf_counter
 
+from imgui_bundle import imgui
+
 from core.camera import project
 from core.errors import Cancelled
 from core.vocabulary import BodyState
@@ -16,7 +18,7 @@ from display.picture import fit
 from display.preferences import Preferences
 from display.protocol import Display, Frame, WorldView
 from display.user_commands import Command, ViewFiles
-from display.window.controls import HOVER_OPACITY, ROOM_GIZMO, Controls, Hover
+from display.window.controls import HOVER_OPACITY, ROOM_GIZMO, Controls
 from display.window.dialogs import LengthDialog, OpenDialog, SceneMenu, UpChoice
 from display.window.gl_context import PictureTexture
 from display.window.gl_window import GLWindow
@@ -28,7 +30,6 @@ from scenes.scene import Scene
 MAX_STEP = 1 / 20  # [s] of simulation at once
 RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one
 DEFAULT_SIZE = (960, 540)  # in screen coordinates
-MIN_SIDE = 16  # [px] of a picture
 
 
 class Window(Display):
@@ -61,12 +62,10 @@ class Window(Display):
         opened = self._preferences.get("panel.sections", dict[str, bool], {})
         self._panel = PanelDrawer(title, self._surface.scale, Panel(gizmo=True), opened)
         self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
-        self._hover = Hover()
         self._resolution = WindowResolution()
         self._controls = Controls(scene, self._preferences, name, self._open_dialog)
         self._controls.panel = self._preferences.get("panel.open", bool, True)
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
-        self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
         self._time = 0.0  # [s] of all frames
         self._busy = False  # does anything move
@@ -100,18 +99,13 @@ class Window(Display):
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) [px] of the picture that fits the window now."""
-        full = self._surface.frame_size
-        scale = self._panel.panel.scale
-        wanted = self._resolution.size(full) if scale is None else (round(side * scale) for side in full)
-        return tuple(max(MIN_SIDE, side) for side in wanted)
+        return self._resolution.size(self._surface.frame_size, self._panel.panel.scale)
 
     def loading(self, text: str, picture=None) -> None:
         """Show a line of text during a long operation, over a picture or the last one; the window is empty before.
 
         Raises Cancelled if Esc was pressed or the window closed.
         """
-        from imgui_bundle import imgui
-
         if picture is not None:
             self._texture.upload(picture)
         events = self._surface.begin()
@@ -147,7 +141,7 @@ class Window(Display):
             dt = min(seconds, catch_up_limit(cost))
             self._dropped += 0.0 if cost is None else seconds - dt
             drawing = world.timings.latest("shadow", "render", "present")
-            self._busy = self._camera_moved() or world.moving
+            self._busy = self._controls.camera_moved(self._camera) or world.moving
             self._resolution.note(now, seconds, drawing, moving=self._busy)
             self._resize(now, world)
             commands = self._handle(events, world)
@@ -200,11 +194,6 @@ class Window(Display):
             controls.measured = None
         return [*chosen, *dialog.draw(), *self._up_choice.draw(world), *measured]
 
-    def _camera_moved(self) -> bool:
-        """True if the last frame's camera differed from the one before it."""
-        before, self._last_view = self._last_view, self._camera.world_to_camera.tobytes()
-        return before != self._last_view
-
     def _resize(self, now: float, world: WorldView) -> None:
         """Let the world draw in the size that is wanted; a window's new size must be stable first, until then
         pictures are stretched."""
@@ -214,12 +203,10 @@ class Window(Display):
         elif now - self._resized[1] > RESIZE_DELAY and world.picture_size != self.size:
             world.resize(*self.size)
         _, _, width, height = fit(world.picture_size, window)
-        self._camera = self._controls.orbit.camera(max(MIN_SIDE, round(width)), max(MIN_SIDE, round(height)))
+        self._camera = self._controls.orbit.camera(max(1, width), max(1, height))
 
     def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
         """Hand the events to the controls, but not those that belong to the panel."""
-        from imgui_bundle import imgui
-
         io, controls = imgui.get_io(), self._controls
         listing = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)  # a list that is open has the keys
         commands, self._commands = self._commands, []
@@ -275,24 +262,16 @@ class Window(Display):
 
     def _draw_markers(self, world: WorldView) -> None:
         """Draw corners around the body that is to be marked, and fainter ones around that under the cursor."""
-        body, under = marked(world, near=self._panel.edits), self._under_cursor(world)
+        body, elsewhere = marked(world, near=self._panel.edits), imgui.get_io().want_capture_mouse or self._gizmo.over
+        cursor = self._cursor if imgui.is_mouse_pos_valid() and not elsewhere else None
+        under = self._controls.hovered(world, self._camera, cursor, moving=self._busy)
         if body is not None:
             self._draw_marker(body)
         if under is not None and under is not body:
             self._draw_marker(under, HOVER_OPACITY)
 
-    def _under_cursor(self, world: WorldView) -> BodyState | None:
-        """The body that a press of the button would take."""
-        from imgui_bundle import imgui
-
-        taken = self._controls.drag is not None or imgui.get_io().want_capture_mouse or self._gizmo.over
-        cursor = self._cursor if imgui.is_mouse_pos_valid() and not taken else None
-        return self._hover.under(world, self._camera, cursor, moving=self._busy)
-
     def _draw_marker(self, body: BodyState, strength: float = 1.0) -> None:
         """Draw corners around a body; those behind it are fainter."""
-        from imgui_bundle import imgui
-
         draw_list, scale = imgui.get_background_draw_list(), self._surface.scale
         for start, end, opacity in marker_lines(body, self._camera):
             a, b, opacity = self._from_picture(start), self._from_picture(end), strength * opacity
@@ -301,8 +280,6 @@ class Window(Display):
 
     def _draw_film_mark(self, seconds: float) -> None:
         """Draw a red dot and the film's length in the lower right corner, which notices leave free."""
-        from imgui_bundle import imgui
-
         text, scale = f"{int(seconds) // 60}:{int(seconds) % 60:02d}", self._surface.scale
         draw_list, extent = imgui.get_foreground_draw_list(), imgui.calc_text_size(text)
         area, edge = imgui.get_io().display_size, 2 * MARGIN * scale
@@ -314,8 +291,6 @@ class Window(Display):
 
     def _draw_hand(self) -> None:
         """Draw a ring around the gripped point, and the hand for a cursor."""
-        from imgui_bundle import imgui
-
         at = project(self._camera, self._controls.hand.position)
         if at is None:
             return

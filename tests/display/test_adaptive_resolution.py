@@ -51,7 +51,7 @@ def test_it_gets_finer_again_when_there_is_time():
 def test_a_window_of_another_size_keeps_the_scale():
     resolution = WindowResolution()
     run(resolution, 0.0, 3.0, cost=lambda scale: 0.2 * scale**2, moving=True)
-    assert resolution.size((1920, 1080)) == (960, 544) and resolution.size((17, 16)) == (8, 8)
+    assert resolution.size((1920, 1080)) == (960, 544) and resolution.size((33, 32)) == (16, 16)
 
 
 # in a headset

@@ -192,14 +192,14 @@ def key(controls, name, world, at=SKY, down=True):
 
 def test_left_press_on_a_body_grabs_it_and_beside_it_turns(controls, world):
     controls.press("left", *CENTRE, CAMERA, world)
-    (hand,) = controls.advance(CAMERA, 0.01)
+    (hand,) = controls.hands(CAMERA, 0.01, [], world)
     assert controls.drag == "grab" and hand.grip
     assert_allclose(hand.position, (0, 0, RADIUS), atol=1e-9)
     assert hand.reach == 0.25 * 2 * RADIUS
     controls.release("right")  # another button changes nothing
     assert controls.drag == "grab"
     controls.release("left")
-    assert controls.drag is None and controls.advance(CAMERA, 0.01) == []
+    assert controls.drag is None and controls.hands(CAMERA, 0.01, [], world) == []
     controls.press("left", *SKY, CAMERA, world)
     assert controls.drag == "turn"
     controls.move(10.0, 0.0, CAMERA)
@@ -221,7 +221,7 @@ def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls, world):
     key(controls, "shift", world)
     controls.move(0.0, -18.0, CAMERA)  # a tenth of the height, upwards: away
     for _ in range(90):
-        (hand,) = controls.advance(CAMERA, 1 / 60)
+        (hand,) = controls.hands(CAMERA, 1 / 60, [], world)
     assert_allclose(3.0 - hand.position[2], 2.7 * np.exp(2 * 0.06 + 0.2), rtol=1e-6)
     assert_allclose(controls.orbit.distance, 3.0)
 
@@ -229,7 +229,8 @@ def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls, world):
 def test_a_hand_waits_while_the_world_does_not_run(controls, world):
     controls.press("left", *CENTRE, CAMERA, world)
     controls.move(50.0, 0.0, CAMERA)
-    (hand,) = controls.advance(CAMERA, 0.05, running=False)
+    world.paused = True
+    (hand,) = controls.hands(CAMERA, 0.05, [], world)
     assert_allclose(hand.position, (0, 0, RADIUS), atol=1e-9)
 
 
@@ -257,14 +258,14 @@ def test_right_drag_looks_and_middle_drag_turns(controls, world):
 
 def test_walking_goes_on_while_a_key_is_held(controls, world):
     key(controls, "w", world)
-    controls.advance(CAMERA, 0.5)
+    controls.hands(CAMERA, 0.5, [], world)
     assert_allclose(controls.orbit.eye, (0, 0, 3 - 0.5 * 0.8 * 3), atol=1e-12)
     key(controls, "w", world, down=False)
-    controls.advance(CAMERA, 0.5)
+    controls.hands(CAMERA, 0.5, [], world)
     assert_allclose(controls.orbit.eye[2], 1.8)
     key(controls, "d", world)
     controls.let_go()  # the window lost the keyboard
-    controls.advance(CAMERA, 0.5)
+    controls.hands(CAMERA, 0.5, [], world)
     assert_allclose(controls.orbit.eye[0], 0.0)
 
 
@@ -320,7 +321,7 @@ def test_the_gizmo_is_that_of_the_body_under_the_cursor_else_of_the_selected_one
 def test_reset_lets_go_of_what_is_held(controls, world):
     controls.press("left", *CENTRE, CAMERA, world)
     key(controls, "r", world)
-    assert controls.drag is None and controls.advance(CAMERA, 0.01) == []
+    assert controls.drag is None and controls.hands(CAMERA, 0.01, [], world) == []
 
 
 # editing

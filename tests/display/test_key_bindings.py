@@ -6,8 +6,8 @@ import pytest
 
 from display import user_commands
 from display.window.controls import WALK_KEYS, Controls
-from display.window.gl_window import key_name
-from display.window.key_bindings import BINDINGS, BY_CHORD, bound, chord_text, help_rows
+from display.window.key_bindings import BINDINGS, BY_CHORD, bound, chord_text, help_rows, key_name
+from tests.support.fake_world import fake_scene
 
 PLAY = Path(__file__).resolve().parents[2] / "docs" / "play.md"
 
@@ -18,11 +18,13 @@ def test_each_chord_does_one_thing():
     assert set(WALK_KEYS) <= set(chords)
 
 
-def test_actions_are_commands_functions_or_methods_of_the_controls():
+def test_actions_are_commands_functions_or_methods_and_switches_of_the_controls():
+    controls = Controls(fake_scene())
     for binding in BINDINGS:
         action = binding.action
         if isinstance(action, str):
-            assert callable(getattr(Controls, action)), action
+            named = getattr(controls, action)
+            assert callable(named) or isinstance(named, bool), action
         else:
             assert action is None or isinstance(action, user_commands.Command) or callable(action)
 

@@ -70,18 +70,13 @@ def save_picture(path: str | Path, pixels: np.ndarray) -> None:
     import cv2
 
     path = Path(path)
-    check_picture_name(path)
+    if path.suffix.lower() not in PICTURES:
+        raise BadInput(f"{path}: a picture's name ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}")
     ok, data = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(pixels[..., 2::-1]))
     if not ok:
         raise BadInput(f"{path}: cannot encode a picture of {pixels.shape[1]}x{pixels.shape[0]} pixels")
     with atomic_write(path) as beside:
         beside.write_bytes(data.tobytes())
-
-
-def check_picture_name(path: Path) -> None:
-    """Raise BadInput for a suffix of no kind of picture that can be written."""
-    if path.suffix.lower() not in PICTURES:
-        raise BadInput(f"{path}: a picture's name ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}")
 
 
 def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int, int]:
@@ -94,13 +89,13 @@ def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int
 def output_path(scene: str, ending: str, taken: Container[Path] = ()) -> Path:
     """Path of a new file, SCENE_TIME followed by `ending` (".png", "_camera.json").
 
-    It is in the current folder, or in that of pictures if the current one is not writable. Neither a file that exists
-    nor one of those `taken` has this name. Raises BadInput if neither folder is writable.
+    It is in the current folder, or, if that is not writable, in the user's folder of pictures, or home. Neither a file
+    that exists nor one of those `taken` has this name. Raises BadInput if neither folder is writable.
     """
     stem = re.sub(r"[^\w.-]+", "_", Path(scene).stem) or "scene"
     name = f"{stem}_{datetime.now().strftime('%Y-%m-%d_%H-%M-%S')}{ending}"
-    error: BadInput | None = None
-    for folder in (Path.cwd(), pictures_folder()):
+    pictures, error = Path.home() / "Pictures", None
+    for folder in (Path.cwd(), pictures if pictures.is_dir() else Path.home()):
         path = unused_name(folder / name, taken)
         try:
             check_writable(path)
@@ -108,9 +103,3 @@ def output_path(scene: str, ending: str, taken: Container[Path] = ()) -> Path:
         except BadInput as e:
             error = error or e
     raise error
-
-
-def pictures_folder() -> Path:
-    """The user's folder of pictures; the home folder if there is none."""
-    home = Path.home()
-    return home / "Pictures" if (home / "Pictures").is_dir() else home

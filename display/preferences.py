@@ -81,32 +81,27 @@ class Preferences:
             self._write()
 
     def _read(self) -> dict:
-        """Content of the file; {} without one."""
+        """Content of the file; {} without one. A damaged one is set aside."""
         try:
             with open(self.path, "rb") as file:
                 data = file.read(SIZE_MAX + 1)
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as e:
-            self._give_up(f"{self.path}: cannot be read ({e.strerror})")
-            return {}
+            return self._give_up(f"{self.path}: cannot be read ({e.strerror})")
         try:
             values = json.loads(data) if len(data) <= SIZE_MAX else None
-            if isinstance(values, dict):
-                return values
         except (ValueError, RecursionError):
-            pass
-        self._set_aside()
-        return {}
-
-    def _set_aside(self) -> None:
+            values = None
+        if isinstance(values, dict):
+            return values
         aside = unused_name(self.path.with_name(f"{self.path.stem}.broken{self.path.suffix}"))
         try:
             os.replace(self.path, aside)
         except OSError as e:
-            self._give_up(f"{self.path}: is damaged and cannot be moved ({e.strerror})")
-        else:
-            tell(f"{self.path} was damaged and is now {aside.name}; settings start afresh")
+            return self._give_up(f"{self.path}: is damaged and cannot be moved ({e.strerror})")
+        tell(f"{self.path} was damaged and is now {aside.name}; settings start afresh")
+        return {}
 
     def _write(self) -> None:
         try:
@@ -123,10 +118,11 @@ class Preferences:
         except BadInput as e:
             self._give_up(str(e))
 
-    def _give_up(self, reason: str) -> None:
-        """Neither read nor write the file again; tell the reason."""
+    def _give_up(self, reason: str) -> dict:
+        """Neither read nor write the file again; tell the reason. There are no values then."""
         tell(f"settings are not kept: {reason}")
         self.path = None
+        return {}
 
 
 def tell(text: str) -> None:

@@ -127,7 +127,8 @@ class ProgressLine:
 
     def __init__(self, out: TextIO | None = None):
         self._out = out or sys.stderr
-        self._interval = SHOW_INTERVAL if self._out.isatty() else LOG_INTERVAL
+        self._terminal = self._out.isatty()
+        self._interval = SHOW_INTERVAL if self._terminal else LOG_INTERVAL
         self.begin = self._written = perf_counter()
 
     def show(self, text: str, now: float | None = None) -> None:
@@ -135,11 +136,11 @@ class ProgressLine:
         now = perf_counter() if now is None else now
         if now - self._written >= self._interval:
             self._written = now
-            print(f"\r{text}\033[K" if self._out.isatty() else f"{text}\n", end="", file=self._out, flush=True)
+            print(f"\r{text}\033[K" if self._terminal else f"{text}\n", end="", file=self._out, flush=True)
 
     def end(self) -> None:
         """Clear the line."""
-        if self._out.isatty() and self._written > self.begin:
+        if self._terminal and self._written > self.begin:
             print("\r\033[K", end="", file=self._out, flush=True)
 
 

@@ -14,24 +14,12 @@ from assets.orientation import alternatives, rotation_to_up
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.measured_length import scale_between
+from display import user_commands
 from display.edit.editor import rotation_matrix
 from display.picture import output_path, pixels_of, surface_point
 from display.protocol import Frame, Line, Notice, WorldView
 from display.timing import Timings
-from display.user_commands import (
-    Command,
-    Crop,
-    Measure,
-    NextBackground,
-    NextFile,
-    Rescale,
-    Rotate,
-    ShowAxes,
-    TurnUp,
-    ViewFiles,
-    WriteSplats,
-    in_order,
-)
+from display.user_commands import in_order
 from display.viewed_file import BACKGROUND, FOV_Y, ViewedFile, eye_around, middle_and_radius
 from render import MOVING_SORT
 from scenes.scene import Scene
@@ -53,8 +41,7 @@ class SplatWorld(WorldView):
         self.scene, self.timings, self.splats, self.picture_size = scene, Timings(), splats, size
         self.cameras: list[Camera] = []  # of the last picture
         self._shown: tuple | None = None  # camera of the picture; None if it is outdated
-        self._background, self._antialias = scene.background, antialias
-        self._notice = Notice()
+        self._background, self._antialias, self._notice = scene.background, antialias, Notice()
         self._draw_in_order(sort)
 
     def _draw_in_order(self, sort: str | None) -> None:
@@ -147,8 +134,8 @@ class Viewer(SplatWorld):
     ):
         self.axes, self._files, self._index, self._out, self._sort = False, list(files), 0, out, sort
         splats = self._splats_for(max(len(f.gaussians) for f in files), max(f.gaussians.sh.shape[1] for f in files))
-        super().__init__(splats, scene, (width, height), sort=self._order())
-        self._drawn_order = self._order()
+        super().__init__(splats, scene, (width, height), sort=self._order)
+        self._drawn_order = self._order
         self._show_crop()
         self.up_choices = self._choices()
 
@@ -161,6 +148,7 @@ class Viewer(SplatWorld):
         splats.sh_range = (0, splats.capacity)  # of any file
         return splats
 
+    @property
     def _order(self) -> str:
         """Order of blending of the file that is shown, unless the user chose one."""
         return self._sort or self.file.gaussians.sort or MOVING_SORT
@@ -189,35 +177,35 @@ class Viewer(SplatWorld):
                 self.tell(" ".join(str(e).split()))
         self.draw(frame.cameras)
 
-    def _carry_out(self, command: Command) -> None:
+    def _carry_out(self, command: user_commands.Command) -> None:
         match command:
-            case ViewFiles(paths):
+            case user_commands.ViewFiles(paths):
                 first = len(self._files)
-                self._files += [ViewedFile.read(Path(path), None) for path in paths]
+                self._files += [ViewedFile.read(path, None) for path in paths]
                 self._show(first)
-            case NextFile(step):
+            case user_commands.NextFile(step):
                 self._show((self._index + step) % len(self._files))
-            case TurnUp(up):
+            case user_commands.TurnUp(up):
                 self._change(self.file.turned(up))
                 self.up_choices = []  # the user has seen them, and chosen
                 self.tell(self.file.note)
-            case Rotate(_, rotation):
+            case user_commands.Rotate(_, rotation):
                 self._change(self.file.changed(rotation_matrix(rotation)))
-            case Rescale(_, factor):
+            case user_commands.Rescale(_, factor):
                 self._rescale(factor)
-            case Measure(start, end, length):
+            case user_commands.Measure(start, end, length):
                 self._measure(np.array(start), np.array(end), length)
-            case ShowAxes(on):
+            case user_commands.ShowAxes(on):
                 self.axes = on
-            case NextBackground():
+            case user_commands.NextBackground():
                 known = [*BACKGROUNDS, *([] if self._background in BACKGROUNDS else [self._background])]
                 self._background = known[(known.index(self._background) + 1) % len(known)]
                 self.renderer.set_background(self._background)
                 self._shown = None
-            case Crop(low, high):
+            case user_commands.Crop(low, high):
                 self._files[self._index] = self.file.cropped(np.array(low), np.array(high))
                 self._show_crop()
-            case WriteSplats():
+            case user_commands.WriteSplats():
                 self._write()
 
     def _measure(self, start: np.ndarray, end: np.ndarray, length: float) -> None:
@@ -236,37 +224,39 @@ class Viewer(SplatWorld):
 
     def _change(self, file: ViewedFile) -> None:
         """Show the file that is shown as it is now."""
-        shown, self._files[self._index] = self.up_choices, file
-        self._show(self._index)
-        self.up_choices = shown
+        self._files[self._index] = file
+        self._upload()
 
     def frame_kept(self, path: Path, turn: np.ndarray, factor: float) -> None:
         """Note that a file has been turned and scaled by that much (display/keep/kept_frame.py)."""
         self._files = [f.kept(turn, factor) if f.path == path else f for f in self._files]
 
     def _show(self, index: int) -> None:
-        """Show another file, or the one that has changed."""
+        """Show another file."""
         self._index = index
-        gaussians = self.file.gaussians
-        if len(gaussians) > self.splats.capacity or gaussians.sh.shape[1] > self._coefficients:
-            self.renderer.destroy()
-            self.splats.destroy()
-            self.splats = self._splats_for(len(gaussians), max(self._coefficients, gaussians.sh.shape[1]))
-            self._draw_in_order(self._order())
-        else:
-            self.splats.replace(self._padded(gaussians))
-            if self._order() != self._drawn_order:
-                self.renderer.destroy()
-                self._draw_in_order(self._order())
-        self._drawn_order = self._order()
-        self._show_crop()
+        self._upload()
         self.up_choices = self._choices()
-        self.tell(f"{self.file.path.name}: {len(gaussians):,} Gaussians")
+        self.tell(f"{self.file.path.name}: {len(self.file.gaussians):,} Gaussians")
+
+    def _upload(self) -> None:
+        """Bring the file to the device: into the fields that are there, if it fits."""
+        count, coefficients = len(self.file.gaussians), self.file.gaussians.sh.shape[1]
+        fits = count <= self.splats.capacity and coefficients <= self._coefficients
+        if not fits or self._order != self._drawn_order:
+            self.renderer.destroy()
+        if fits:
+            self.splats.replace(self._padded(self.file.gaussians))
+        else:
+            self.splats.destroy()
+            self.splats = self._splats_for(count, max(self._coefficients, coefficients))
+        if not fits or self._order != self._drawn_order:
+            self._draw_in_order(self._order)
+        self._drawn_order = self._order
+        self._show_crop()
 
     def _choices(self) -> list[tuple[str, float, np.ndarray]]:
         """The axes that may well point up, with their probabilities and what the file looks like with each."""
-        chances = self.file.chances
-        ups = alternatives(chances) if chances else []
+        ups = alternatives(self.file.chances)
         if len(ups) < 2:
             return []
         gaussians, size, found = self.file.gaussians, self.picture_size, []
@@ -279,7 +269,7 @@ class Viewer(SplatWorld):
             aspect = CHOICE_SIZE[0] / CHOICE_SIZE[1]
             pose = look_at(eye_around(middle, radius, 0.5, aspect=aspect), middle) @ turn
             self.renderer.render([perspective(*CHOICE_SIZE, FOV_Y, pose)])
-            found.append((up, chances[up], pixels_of(self.renderer.picture)[: CHOICE_SIZE[1], :, :3].copy()))
+            found.append((up, self.file.chances[up], pixels_of(self.renderer.picture)[: CHOICE_SIZE[1], :, :3].copy()))
         self.renderer.resize(*size)
         self._shown = None
         return found
@@ -293,8 +283,7 @@ class Viewer(SplatWorld):
     def _write(self) -> None:
         """Write what is shown of the file."""
         out = self._out or output_path(f"{self.file.path.stem}_cropped", ".ply")
-        same = out.exists() and self.file.path.exists() and out.samefile(self.file.path)
-        if same:
+        if out.exists() and self.file.path.exists() and out.samefile(self.file.path):
             raise BadInput(f"{out}: is the file itself; choose another name")
         self.tell(f"Written: {out}, {self.file.write(out):,} Gaussians")
         print(self._notice.shown, file=sys.stderr, flush=True)

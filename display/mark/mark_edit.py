@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
 GROW_MAX = 50  # rings of neighbours
@@ -28,6 +30,11 @@ class MarkState:
     objects: tuple[str, ...] = ("object_1",)
     marks: tuple[Mark, ...] = ()
     grow: dict[str, int] = field(default_factory=dict)
+
+
+def free_name(kind: str, taken: Collection[str]) -> str:
+    """A new name: "object_3"."""
+    return next(name for k in itertools.count(len(taken) + 1) if (name := f"{kind}_{k}") not in taken)
 
 
 class MarkEdit:
@@ -73,10 +80,7 @@ class MarkEdit:
 
     def new_object(self) -> None:
         """Start another object."""
-        number = len(self.state.objects) + 1
-        while f"object_{number}" in self.state.objects:
-            number += 1
-        self._do(replace(self.state, objects=(*self.state.objects, f"object_{number}")))
+        self._do(replace(self.state, objects=(*self.state.objects, free_name("object", self.state.objects))))
         self.current = len(self.state.objects) - 1
 
     def rename(self, name: str) -> bool:

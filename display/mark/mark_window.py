@@ -13,11 +13,11 @@ from imgui_bundle import imgui
 
 from core.camera import Camera, look_at
 from core.errors import BadInput, Cancelled
-from display.mark.mark_edit import MarkEdit, MarkState
+from display.mark.mark_edit import MarkEdit, MarkState, free_name
 from display.picture import fit
 from display.window.controls import ORBIT_PER_HEIGHT, WALK_KEYS
 from display.window.gl_context import PictureTexture
-from display.window.gl_window import GLWindow, has_display
+from display.window.gl_window import GLWindow
 from display.window.mouse import OrbitCamera
 from display.window.widgets import FIXED, apply_theme
 
@@ -44,10 +44,15 @@ ORBIT_HINTS = "Space or middle drag: turn\nWheel: nearer   W A S D Q E: move\n+ 
 class Subject(Protocol):
     """Interface of the content to be marked. One view of it is shown.
 
-    views   names of the pictures that have been marked or can be
-    free    the free camera on a splat, None for photographs
-    size    (width, height) [px] of the shown view, in which marks are counted
-    version changes when a picture has become another one by itself
+    views       names of the pictures that have been marked or can be
+    free        the free camera on a splat, None for photographs
+    size        (width, height) [px] of the shown view, in which marks are counted
+    version     changes when a picture has become another one by itself
+    picture     (H, W, 3) uint8 of the shown view with what is selected in colours, perhaps of another size
+    view_shown  name of the shown view, None for one that has no name yet
+    go_to       shows a view
+    select      updates the selection from the marks; returns a line on the result. Raises BadInput
+    colour      of an object, 0..1
     """
 
     views: list[str]
@@ -55,28 +60,17 @@ class Subject(Protocol):
     size: tuple[int, int]
     version: int
 
-    def picture(self) -> np.ndarray:
-        """Picture (H, W, 3) uint8 of the shown view with what is selected in colours, perhaps of another size."""
-
-    def view_shown(self) -> str | None:
-        """Name of the shown view, None for one that has no name yet."""
-
-    def go_to(self, view: str) -> None:
-        """Show a view."""
-
-    def select(self, state: MarkState) -> str:
-        """Update the selection from the marks; returns a line on the result. Raises BadInput."""
-
-    def colour(self, index: int) -> tuple[float, float, float]:
-        """Colour of an object, 0..1."""
+    def picture(self) -> np.ndarray: ...
+    def view_shown(self) -> str | None: ...
+    def go_to(self, view: str) -> None: ...
+    def select(self, state: MarkState) -> str: ...
+    def colour(self, index: int) -> tuple[float, float, float]: ...
 
 
 class MarkWindow:
     """Call `run` for the marks, or None if the user leaves without saving. Raises BadInput."""
 
     def __init__(self, subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]):
-        if not has_display():
-            raise BadInput("no display to mark objects on: --marks MARKS.json takes marks from a file")
         self.subject, self.edit = subject, edit
         self.tool, self.line = "inside", ""  # what the left button draws; what is said at the panel's foot
         self._surface = GLWindow(title, *size, vsync=True)
@@ -125,11 +119,7 @@ class MarkWindow:
     def _show(self) -> None:
         """Draw picture, strokes and panel."""
         free, surface = self.subject.free, self._surface
-        key = (
-            self.subject.version,
-            self.subject.view_shown(),
-            None if free is None else (*free.orbit.eye, *free.orbit.target),
-        )
+        key = (self.subject.version, self.subject.view_shown(), free and free.orbit.view)
         if key != self._seen:
             self._texture.upload_pixels(self.subject.picture())
             self._seen, self._placed.size = key, self.subject.size
@@ -485,16 +475,17 @@ class FreeView:
     def shown(self) -> str | None:
         """The view that was marked from here, if there is one."""
         here = self.camera
-        return next((name for name, camera in self.cameras.items() if same_camera(camera, here)), None)
+        for name, camera in self.cameras.items():
+            lenses = ([c.width, c.height, c.fx, c.fy, c.cx, c.cy] for c in (camera, here))
+            if np.allclose(*lenses) and np.allclose(camera.world_to_camera, here.world_to_camera, atol=1e-6):
+                return name
+        return None
 
     def named(self) -> str:
         """Name of the view from here, a new one if it has none."""
         name = self.shown()
         if name is None:
-            number = len(self.cameras) + 1
-            while f"view_{number}" in self.cameras:
-                number += 1
-            name = f"view_{number}"
+            name = free_name("view", self.cameras)
             self.cameras[name] = self.camera
         return name
 
@@ -502,12 +493,6 @@ class FreeView:
         """Look from where a view was marked; its roll is ignored."""
         pose = self.cameras[view].world_to_camera @ self._upright.T
         eye = -pose[:3, :3].T @ pose[:3, 3]
-        self.orbit.eye, self.orbit.target = eye, eye + self.orbit.distance * pose[2, :3]
-        if np.allclose(look_at(self.orbit.eye, self.orbit.target), pose, atol=1e-6):
+        self.orbit.look_from(eye, eye + self.orbit.distance * pose[2, :3])
+        if np.allclose(look_at(*self.orbit.view), pose, atol=1e-6):
             self.cameras[view] = replace(self.cameras[view], world_to_camera=self.camera.world_to_camera)
-
-
-def same_camera(a: Camera, b: Camera) -> bool:
-    """True if two cameras take the same picture."""
-    lenses = ([c.width, c.height, c.fx, c.fy, c.cx, c.cy] for c in (a, b))
-    return np.allclose(*lenses) and np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-6)

@@ -60,8 +60,7 @@ class Browser(Display):
         self._server = PageServer(host or LOOPBACK, port, first_words(title, name, scene), encode)
         self._controls = Controls(scene, preferences, name)
         self._resolution, self._panel = WindowResolution(), Panel()
-        self._camera = self._controls.orbit.camera(*self._full)  # of the picture in full size
-        self._cursor = (0.0, 0.0)  # [px] of the camera
+        self._controls.update_camera(self._full)
         self._pointing = False  # the pointer is over the picture
         self._near = False  # the pointer is among the edits
         self._dropped = 0.0  # [s] that have passed and were never simulated
@@ -147,10 +146,9 @@ class Browser(Display):
             dt = min(seconds, catch_up_limit(cost))
             self._dropped += 0.0 if cost is None else seconds - dt
             commands = self._handle(self._server.take(), world)
-            hands = self._controls.hands(self._camera, dt, commands, world)
+            hands = self._controls.hands(dt, commands, world)
             self._time += dt
-            self._camera = self._controls.orbit.camera(*self._full)
-            moving = self._controls.camera_moved(self._camera) or world.moving
+            moving = self._controls.update_camera(self._full) or world.moving
             self._busy = moving or bool(commands or hands)
             drawing = world.timings.latest("shadow", "render", "present") + self._waited  # which fewer pixels shorten
             self._resolution.note(now, seconds, drawing, moving=moving)
@@ -189,9 +187,8 @@ class Browser(Display):
             shown, self._shown = self._shown, (id(world), world.pictures)
             self._picture += shown != self._shown
             hand = self._controls.hand.position if self._controls.drag == "grab" else None
-            cursor = self._cursor if self._pointing else None
-            under = self._controls.hovered(world, self._camera, cursor, moving=self._busy)
-            strokes = overlay(world, self._camera, hand, under, near=self._near)
+            under = self._controls.hovered(world, over=self._pointing, moving=self._busy)
+            strokes = overlay(world, self._controls.camera, hand, under, near=self._near)
             still = self._resolution.still and world.picture_size == self.size
             self._server.show(self._picture, strokes, lambda: pixels_of(world.picture), still=still)
             self._tell(world)
@@ -218,7 +215,7 @@ class Browser(Display):
                 name, down, *position = what
                 self._move(*position)
                 if down:
-                    controls.press(name, *self._cursor, self._camera, world)
+                    controls.press(name, world)
                 else:
                     controls.release(name)
             elif kind == "wheel":
@@ -239,22 +236,21 @@ class Browser(Display):
             elif kind == "open":
                 commands += filter(None, [scene_request(*what)])
         controls.note(commands)
-        commands += controls.place_light(world, *self._cursor, self._camera)
+        commands += controls.place_light(world)
         controls.follow(world)
         return controls.completed(commands, self._full)
 
     def _move(self, u: float, v: float) -> None:
         """Move the cursor to (u, v), in fractions of the picture."""
-        self._pointing = True
-        before, self._cursor = self._cursor, (u * self._camera.width, v * self._camera.height)
-        self._controls.move(self._cursor[0] - before[0], self._cursor[1] - before[1], self._camera)
+        self._pointing, camera = True, self._controls.camera
+        self._controls.move(u * camera.width, v * camera.height)
 
     def _pinch(self, notches: float, du: float, dv: float) -> None:
         """Two fingers: push or pull what is held; otherwise zoom and shift the camera."""
         controls = self._controls
         if controls.drag != "grab":
             controls.release("left")  # the first finger began to turn the view
-            controls.pan(du * self._camera.width, dv * self._camera.height, self._camera)
+            controls.pan(du * controls.camera.width, dv * controls.camera.height)
         controls.wheel(notches)
 
     def _key(self, code: str, printed: str, down: bool, ctrl: bool, world: WorldView) -> list[Command]:
@@ -263,7 +259,7 @@ class Browser(Display):
         binding = BY_CHORD.get(name)
         if name is None or (binding is not None and binding.action in WINDOW_ONLY and name != "escape"):
             return []
-        commands = self._controls.key(name, down, world, *self._cursor, self._camera)
+        commands = self._controls.key(name, down, world)
         self._controls.quit = False  # a page does not end the program
         self._controls.help, self._controls.gizmo = False, None  # of the window alone: the page lists the keys itself
         return commands

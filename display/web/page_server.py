@@ -25,6 +25,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from http import HTTPStatus
 from pathlib import Path
 from string import Template
@@ -32,6 +33,8 @@ from time import perf_counter
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+from websockets.asyncio.server import broadcast, serve
+from websockets.exceptions import ConnectionClosed
 
 from core.errors import BadInput
 from display.web.page_messages import MESSAGE_BYTES, STAMPED, read_message
@@ -77,8 +80,7 @@ class PictureFlow:
         self.intervals: deque[float] = deque(maxlen=HISTORY_LENGTH)  # [s] between pictures that follow one another
         self.last: tuple[int, int] = (-1, 0)  # the picture that the page has or will have, and its quality
         self._sent: deque[tuple[int, float]] = deque()  # number and time of what is unanswered
-        self._number = 0
-        self._delays: deque[float] = deque(maxlen=DELAYS)
+        self.delays: deque[float] = deque(maxlen=DELAYS)  # [s] of small messages, there and back
         self._level, self._slow, self._fast = len(QUALITIES) - 1, 0, 0
         self._shown: float | None = None  # when the last picture was
 
@@ -88,14 +90,9 @@ class PictureFlow:
         return QUALITIES[self._level]
 
     @property
-    def delay(self) -> float:
-        """Time to the page and back [s]."""
-        return min(self._delays, default=0.0)
-
-    @property
     def window(self) -> int:
         """Pictures that may be under way."""
-        return min(1 + math.ceil(self.delay / PICTURE_PERIOD), MAX_UNDER_WAY)
+        return min(1 + math.ceil(min(self.delays, default=0.0) / PICTURE_PERIOD), MAX_UNDER_WAY)
 
     @property
     def ready(self) -> bool:
@@ -107,20 +104,12 @@ class PictureFlow:
         """True if nothing is under way: then a small message measures the delay."""
         return not self._sent
 
-    def note_delay(self, seconds: float) -> None:
-        """Note how long a small message took there and back."""
-        self._delays.append(seconds)
-
     def send(self, now: float, picture: int, quality: int) -> int:
         """Note that a picture goes out; its number."""
-        self._number += 1
-        self._sent.append((self._number, now))
+        self.frames += 1
+        self._sent.append((self.frames, now))
         self.last = (picture, quality)
-        return self._number
-
-    def count(self, size: int) -> None:
-        """Note the bytes of a picture that went out."""
-        self.frames, self.bytes = self.frames + 1, self.bytes + size
+        return self.frames
 
     def shown(self, number: int, now: float, latency: float | None) -> bool:
         """Note that the page shows a picture, `latency` after the last input in it; False if it was not sent."""
@@ -135,17 +124,14 @@ class PictureFlow:
         if self._shown is not None and now - self._shown <= MAX_GAP:
             self.intervals.append(now - self._shown)
         self._shown = now
-        self._adapt(now - sent - self.delay)
-        return True
-
-    def _adapt(self, transfer: float) -> None:
-        """Change the quality by the time that a picture's transfer took."""
+        transfer = now - sent - min(self.delays, default=0.0)
         self._slow = self._slow + 1 if transfer > SLOW else 0
         self._fast = self._fast + 1 if transfer < FAST else 0
         if self._slow >= WORSE_AFTER and self._level > 0:
             self._level, self._slow = self._level - 1, 0
         elif self._fast >= BETTER_AFTER and self._level < len(QUALITIES) - 1:
             self._level, self._fast = self._level + 1, 0
+        return True
 
 
 @dataclass(eq=False)
@@ -280,14 +266,15 @@ class PageServer:
     def _deliver(self, pixels: np.ndarray, overlay: list, due: Sequence[tuple[Page, int, dict]]) -> None:
         """Encode a picture once for each quality, and send it: the length of a JSON header, the header, the JPEG."""
         encoded: dict[int, bytes] = {}
-        messages = []
         for page, quality, header in due:
             if quality not in encoded:
                 encoded[quality] = self._encode(pixels, quality)
             head = json.dumps({**header, "overlay": overlay}).encode()
-            messages.append((page, struct.pack("<I", len(head)) + head + encoded[quality]))
+            data = struct.pack("<I", len(head)) + head + encoded[quality]
+            page.flow.bytes += len(data)
+            self._call(send, page, data)
         sent = threading.Event()
-        self._call(self._send_all, messages, sent)
+        self._call(sent.set)
         sent.wait(THREAD_PATIENCE)
 
     def greet(self, hello: dict) -> None:
@@ -323,8 +310,6 @@ class PageServer:
         self._loop.close()
 
     async def _serve(self) -> None:
-        from websockets.asyncio.server import serve
-
         silent = logging.getLogger("vrgs.web")  # strangers' faulty requests are no news
         silent.addHandler(logging.NullHandler())
         silent.propagate = False
@@ -362,8 +347,6 @@ class PageServer:
 
     async def _attend(self, connection) -> None:
         """Serve a page as long as its socket is open."""
-        from websockets.exceptions import ConnectionClosed
-
         page = Page(connection)
         send(page, json.dumps(self._hello))
         with self._changed:
@@ -420,7 +403,7 @@ class PageServer:
                     raise BadInput("no such picture")
             elif name == "pong":
                 if page.pinged is not None and values[0] == page.flow.frames:  # no picture went between them
-                    page.flow.note_delay(now - page.pinged)
+                    page.flow.delays.append(now - page.pinged)
                 page.pinged = None
             elif name == "size":
                 page.size = (values[0], values[1])
@@ -447,19 +430,9 @@ class PageServer:
             raise BadInput("too many messages")
         self._events.append(event)
 
-    def _send_all(self, messages: Sequence[tuple[Page, bytes]], sent: threading.Event) -> None:
-        """Send pictures, then set `sent`."""
-        for page, data in messages:
-            with self._changed:
-                page.flow.count(len(data))
-            send(page, data)
-        sent.set()
-
 
 def send(page: Page, message: str | bytes) -> None:
     """Send a message, unless the socket is closing. Runs in the server's thread."""
-    from websockets.asyncio.server import broadcast
-
     broadcast([page.connection], message)
 
 
@@ -481,7 +454,7 @@ def listen(host: str, port: int) -> socket.socket:
     raise BadInput(f"{taken}: choose another one with --web PORT")
 
 
-def response(connection, status: HTTPStatus, body: str = "", kind: str = "text/plain", **headers: str):
+def response(connection, status: HTTPStatus, body: str = "", kind: str = "text/plain", policy: str = ""):
     """A whole answer over HTTP."""
     answer = connection.respond(status, body)
     del answer.headers["Content-Type"]
@@ -489,17 +462,15 @@ def response(connection, status: HTTPStatus, body: str = "", kind: str = "text/p
     answer.headers["Cache-Control"] = "no-store"
     answer.headers["X-Content-Type-Options"] = "nosniff"
     answer.headers["Referrer-Policy"] = "no-referrer"
-    for name, value in headers.items():
-        answer.headers[name.replace("_", "-")] = value
+    if policy:
+        answer.headers["Content-Security-Policy"] = policy
     return answer
 
 
 def page_response(connection, title: str):
     """The page with style and script inlined: a single answer holds everything."""
-    from html import escape
-
     nonce = secrets.token_urlsafe(12)
     style, script = ((FOLDER / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     page = Template((FOLDER / "page.html").read_text(encoding="utf-8"))
     body = page.substitute(title=escape(title), style=style, script=script, nonce=nonce)
-    return response(connection, HTTPStatus.OK, body, "text/html", Content_Security_Policy=POLICY.format(nonce))
+    return response(connection, HTTPStatus.OK, body, "text/html", POLICY.format(nonce))

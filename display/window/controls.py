@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
-from core.camera import Camera
 from core.vocabulary import BodyState, Hand
 from display import user_commands
 from display.preferences import Bookmarks, Preferences
@@ -50,61 +49,54 @@ ENDING_DRAGS = (
 )
 
 
-@dataclass(frozen=True)
-class Press:
-    """A key that goes down: its name with "ctrl+" if that is held, and the cursor at (u, v) of a camera's picture."""
-
-    name: str
-    world: WorldView
-    u: float
-    v: float
-    camera: Camera
-
-
 class Controls:
-    """State of mouse and keys: one drag at a time, keys held. Positions in picture pixels.
+    """State of mouse and keys: one drag at a time, keys held.
 
-    `drag` is "grab", "turn", "look", "pan" or None. `panel`, `help` (the list of keys) and `menu` (of scenes) are on
-    view; `asks_file`: the user wants to choose a file; `gizmo`: which one is on view, `quit` whether to end.
-    `orbit` is the camera of the scene, of which the preferences keep bookmarks under its `name`. Esc closes the
-    `dialog` (an OpenDialog) while it is shown.
+    camera    of the picture in the size in which it is shown, by `update_camera`
+    cursor    (u, v) [px] of that picture
+    drag      "grab", "turn", "look", "pan" or None
+    gizmo     "move", "turn", "scale", ROOM_GIZMO or None
+    measured  points (3,) [m] whose distance sets the size; None: none are asked
+    orbit     the camera of the scene, of which the preferences keep bookmarks under its `name`
+
+    `panel`, `help` (the list of keys) and `menu` (of scenes) are on view, `asks_file`: the user wants to choose a file,
+    `quit`: to end. Esc closes the `dialog` (an OpenDialog) while it is shown.
     """
 
     def __init__(self, scene: Scene, preferences: Preferences | None = None, name: str = "", dialog=None):
         self._preferences, self._dialog, self.hand = preferences or Preferences(), dialog, MouseHand()
-        self.drag: str | None = None
-        self.panel = True
-        self.help = False
+        self.panel, self.help, self.menu, self.asks_file, self.quit = True, False, False, False, False
         self.gizmo: str | None = None
-        self.menu = self.asks_file = False
-        self.measured: list[np.ndarray] | None = None  # points (3,) whose distance sets the size; None: none are asked
-        self.quit = False
+        self.cursor = (0.0, 0.0)
         self._followed: tuple | None = None  # the last view that the world wanted
-        self._view: tuple | None = None  # of the last frame
-        self._button: str | None = None
         self._lowest: float | None = None  # [m] to which a drag takes the eye down
         self._walking: set[str] = set()
-        self._shift = False
-        self._light_cursor: tuple | None = None  # where the light was put last, while its key is down
         self._hovered: tuple[int | None, tuple | None, float] = (None, None, 0.0)  # body, cursor and time of a query
         self.show_scene(scene, name)
+        self.camera = self.orbit.camera(1, 1)
 
     def show_scene(self, scene: Scene, name: str) -> None:
         """Show this scene from its first view, with nothing held."""
         self.let_go()
-        self.orbit, self.measured = OrbitCamera(scene.eye, scene.target, scene.fov_y), None
+        self.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
+        self.measured: list[np.ndarray] | None = None
         self._bookmarks_key = f"bookmarks.{name}"
         self._bookmarks = self._preferences.get(self._bookmarks_key, Bookmarks, {})
 
-    def press(self, button: str, u: float, v: float, camera: Camera, world: WorldView) -> None:
-        """Handle a mouse button that goes down over the picture."""
+    def update_camera(self, size: tuple[int, int]) -> bool:
+        """Take the camera anew, for a picture that is shown in this size [px]; True if it has moved."""
+        before, self.camera = self.camera, self.orbit.camera(*(max(1, side) for side in size))
+        return before.world_to_camera.tobytes() != self.camera.world_to_camera.tobytes()
+
+    def press(self, button: str, world: WorldView) -> None:
+        """Handle a mouse button that goes down over the picture, at the cursor."""
         if self.drag is not None:
             return
         if self.measured is not None and button == "left":
-            self._measure_at(world.surface(camera, u, v), world)
+            self._measure_at(world.surface(self.camera, *self.cursor), world)
             return
         self._button = button
-        if button == "left" and not world.paused and self._grab(u, v, camera, world):
+        if button == "left" and not world.paused and self._grab(world):
             self.drag = "grab"
         elif self._shift and button in ("right", "middle"):
             self.drag = "pan"
@@ -120,14 +112,15 @@ class Controls:
             self.measured.append(point)
             world.tell("Now the other point." if len(self.measured) == 1 else "")
 
-    def _grab(self, u: float, v: float, camera: Camera, world: WorldView) -> bool:
-        hit = world.pick(*camera.ray(u, v))
+    def _grab(self, world: WorldView) -> bool:
+        hit = world.pick(*self.camera.ray(*self.cursor))
         if hit is None:
             return False
         distance, index = hit
         body = world.bodies()[index]
         radius = RELATIVE_GRAB_RADIUS * float(np.max(body.high - body.low))
-        self.hand.grab(camera, u, v, distance, float(np.clip(radius, MIN_GRAB_RADIUS, MAX_GRAB_RADIUS)))
+        radius = float(np.clip(radius, MIN_GRAB_RADIUS, MAX_GRAB_RADIUS))
+        self.hand.grab(self.camera, *self.cursor, distance, radius)
         return True
 
     def release(self, button: str) -> None:
@@ -138,9 +131,10 @@ class Controls:
             self.hand.release()
         self.drag = self._button = None
 
-    def move(self, du: float, dv: float, camera: Camera) -> None:
-        """Handle a motion of the cursor [px]."""
-        angle = ORBIT_PER_HEIGHT / camera.height
+    def move(self, u: float, v: float) -> None:
+        """Handle a motion of the cursor, to (u, v)."""
+        du, dv, self.cursor = u - self.cursor[0], v - self.cursor[1], (u, v)
+        camera, angle = self.camera, ORBIT_PER_HEIGHT / self.camera.height
         if self.drag == "grab" and self._shift:
             self.hand.push(-2.0 * dv / camera.height)
         elif self.drag == "grab":
@@ -150,11 +144,11 @@ class Controls:
         elif self.drag == "look":  # as in games: the view goes with the mouse; "turn" and "pan" drag the scene
             self.orbit.look(-LOOK_GAIN * du / camera.fx, -LOOK_GAIN * dv / camera.fy)
         elif self.drag == "pan":
-            self.pan(du, dv, camera)
+            self.pan(du, dv)
 
-    def pan(self, du: float, dv: float, camera: Camera) -> None:
+    def pan(self, du: float, dv: float) -> None:
         """Shift the view with the cursor [px]."""
-        metres_per_pixel = self.orbit.distance / camera.fy  # at the target
+        metres_per_pixel = self.orbit.distance / self.camera.fy  # at the target
         self.orbit.move(-du * metres_per_pixel, dv * metres_per_pixel, 0.0)
 
     def wheel(self, notches: float) -> None:
@@ -164,8 +158,8 @@ class Controls:
         else:
             self.orbit.zoom(notches)
 
-    def key(self, name: str, down: bool, world: WorldView, u: float, v: float, camera: Camera) -> list[Command]:
-        """Handle a key that goes down or up, with the cursor at (u, v) of a camera's picture; returns its commands."""
+    def key(self, name: str, down: bool, world: WorldView) -> list[Command]:
+        """Handle a key that goes down, its name after "ctrl+" if that is held, or up; returns its commands."""
         if name == "shift":
             self._shift = down
         elif name in WALK_KEYS:
@@ -173,25 +167,25 @@ class Controls:
         elif name == "l":
             self._light_cursor = () if down else None
         elif down and (binding := bound(name, shift=self._shift, bodies=world.editable)) is not None:
-            return self._act(binding.action, Press(name, world, u, v, camera))
+            return self._act(binding.action, name, world)
         return []
 
-    def _act(self, action, press: Press) -> list[Command]:
+    def _act(self, action, name: str, world: WorldView) -> list[Command]:
         if isinstance(action, str):
             named = getattr(self, action)
             if isinstance(named, bool):
                 setattr(self, action, not named)
                 return []
-            return named(press) or []
-        commands = [self._aimed(action, press)] if isinstance(action, Command) else list(action(press.world))
+            return named(name, world) or []
+        commands = [self._aimed(action, world)] if isinstance(action, Command) else list(action(world))
         self.note(commands)
         return commands
 
-    def _aimed(self, command: Command, press: Press) -> Command:
+    def _aimed(self, command: Command, world: WorldView) -> Command:
         """A command aimed at the body under the cursor; else at the one that is held or was selected last."""
         if not hasattr(command, "body") or self.drag == "grab":
             return command
-        hit = press.world.pick(*press.camera.ray(press.u, press.v))
+        hit = world.pick(*self.camera.ray(*self.cursor))
         return command if hit is None else replace(command, body=hit[1])
 
     def note(self, commands: Iterable[Command]) -> None:
@@ -201,20 +195,19 @@ class Controls:
 
     def completed(self, commands: Iterable[Command], size: tuple[int, int]) -> list[Command]:
         """The commands, with the size [px] of the whole picture and the view where they ask for these."""
-        view = (tuple(self.orbit.eye.tolist()), tuple(self.orbit.target.tolist()))
         sized = [replace(c, size=size) if isinstance(c, PictureCommand) else c for c in commands]
-        return [replace(c, view=view) if isinstance(c, SaveState) else c for c in sized]
+        return [replace(c, view=self.orbit.view) if isinstance(c, SaveState) else c for c in sized]
 
     def follow(self, world: WorldView) -> None:
         """Go to the view of a state that was loaded."""
         if world.wanted_view is not self._followed:
             self._followed = world.wanted_view
             if self._followed is not None:
-                self.orbit.eye, self.orbit.target = (np.array(point, np.float64) for point in self._followed)
+                self.orbit.look_from(*self._followed)
 
-    # the actions of key_bindings.py that concern the window alone, or the camera
+    # the actions of key_bindings.py that concern the window alone, or the camera: of the key's name and the world
 
-    def escape(self, press: Press) -> list[Command]:
+    def escape(self, name: str, world: WorldView) -> list[Command]:
         """End the first of these that is active: the drag, the list of keys, a measurement, a menu or dialog, what is
         being opened, the gizmo, the demonstration; else quit."""
         if self.drag is not None:
@@ -227,11 +220,11 @@ class Controls:
             self.menu = False
         elif self._dialog is not None and self._dialog.shown:
             self._dialog.close()
-        elif press.world.opening:
+        elif world.opening:
             return [user_commands.CancelOpening()]
         elif self.gizmo is not None:
             self.gizmo = None
-        elif press.world.demo:
+        elif world.demo:
             return [user_commands.PlayDemo(False)]
         else:
             self.quit = True
@@ -241,87 +234,83 @@ class Controls:
         """Show the next kind of gizmo, or none after the last."""
         self.gizmo = {None: "move", ROOM_GIZMO: "move", "move": "turn", "turn": "scale", "scale": None}[self.gizmo]
 
-    def next_gizmo(self, press: Press) -> list[Command]:
+    def next_gizmo(self, name: str, world: WorldView) -> list[Command]:
         """Show the gizmo of the body under the cursor, or of the selected one: move, turn, scale, none."""
         self.show_next_gizmo()
         if self.gizmo != "move":
             return []
-        select = self._aimed(user_commands.Select(press.world.selected), press)
+        select = self._aimed(user_commands.Select(world.selected), world)
         if select.body is None:
             self.gizmo = None
-            press.world.tell("Point at a body, or hold one, to move it.")
+            world.tell("Point at a body, or hold one, to move it.")
             return []
         return [select]
 
-    def toggle_room_gizmo(self, press: Press) -> None:
+    def toggle_room_gizmo(self, name: str, world: WorldView) -> None:
         """Show rings that turn the whole room, or hide them."""
-        self.gizmo = None if self.gizmo == ROOM_GIZMO else ROOM_GIZMO
-        if self.gizmo is not None and press.world.room_middle is None:
-            self.gizmo = None
-            press.world.tell("Only a room of your own can be turned: vrgs.py capture, or --stage ROOM.")
+        if self.gizmo != ROOM_GIZMO and world.room_middle is None:
+            world.tell("Only a room of your own can be turned: vrgs.py capture, or --stage ROOM.")
+        self.gizmo = None if self.gizmo == ROOM_GIZMO or world.room_middle is None else ROOM_GIZMO
 
-    def measure(self, press: Press) -> None:
+    def measure(self, name: str, world: WorldView) -> None:
         """Begin to measure between two points, or stop that."""
         self.measured = [] if self.measured is None else None
         if self.measured is not None:
-            press.world.tell("Click two points whose distance you know (Esc: none).")
+            world.tell("Click two points whose distance you know (Esc: none).")
 
-    def reset_view(self, press: Press) -> None:
+    def reset_view(self, name: str, world: WorldView) -> None:
         """Show the scene from where it begins."""
         self.orbit.reset()
 
-    def go_to_bookmark(self, press: Press) -> None:
+    def go_to_bookmark(self, name: str, world: WorldView) -> None:
         """Show the view that is kept under a digit."""
-        digit = press.name[-1]
-        eye, target = self._bookmarks.get(digit, ((), ()))
+        eye, target = self._bookmarks.get(name, ((), ()))
         if eye != target:
-            self.orbit.eye, self.orbit.target = np.array(eye), np.array(target)
+            self.orbit.look_from(eye, target)
         else:
-            press.world.tell(f"No view is kept under {digit}: Ctrl+{digit} keeps this one.")
+            world.tell(f"No view is kept under {name}: Ctrl+{name} keeps this one.")
 
-    def keep_bookmark(self, press: Press) -> None:
+    def keep_bookmark(self, name: str, world: WorldView) -> None:
         """Keep the view under a digit."""
-        digit = press.name[-1]
-        self._bookmarks = self._bookmarks | {digit: (tuple(self.orbit.eye.tolist()), tuple(self.orbit.target.tolist()))}
+        self._bookmarks = self._bookmarks | {name[-1]: self.orbit.view}
         self._preferences.set(self._bookmarks_key, self._bookmarks)
-        press.world.tell(f"This view is kept under {digit}.")
+        world.tell(f"This view is kept under {name[-1]}.")
 
-    def tilt(self, press: Press) -> list[Command]:
+    def tilt(self, name: str, world: WorldView) -> list[Command]:
         """Tilt a body, or with Ctrl the room, about the camera's horizontal axis: away by a comma, else towards it."""
-        axis, sign = press.camera.world_to_camera[0, :3], 1.0 if press.name.endswith("comma") else -1.0
-        if press.name.startswith("ctrl+"):
+        axis, sign = self.camera.world_to_camera[0, :3], 1.0 if name.endswith("comma") else -1.0
+        if name.startswith("ctrl+"):
             return [user_commands.TurnRoom(rotation_step(axis, sign, step=ROOM_STEP))]
-        return [self._aimed(user_commands.Rotate(None, rotation_step(axis, sign)), press)]
+        return [self._aimed(user_commands.Rotate(None, rotation_step(axis, sign)), world)]
 
-    def place_light(self, world: WorldView, u: float, v: float, camera: Camera) -> list[Command]:
+    # what goes on while a key or button is down
+
+    def place_light(self, world: WorldView) -> list[Command]:
         """While its key is down, the light follows the cursor at the depth that it has."""
-        if self._light_cursor is None or self._light_cursor == (u, v) or world.light is None:
+        if self._light_cursor is None or self._light_cursor == self.cursor or world.light is None:
             return []
-        self._light_cursor = (u, v)
-        origin, direction = camera.ray(u, v)
-        forward = camera.world_to_camera[2, :3]
+        self._light_cursor = self.cursor
+        origin, direction = self.camera.ray(*self.cursor)
+        forward = self.camera.world_to_camera[2, :3]
         depth = float(forward @ (np.array(world.light.position) - origin))
         if depth < MIN_DEPTH:  # it is behind the camera: then it comes to the target's depth
             depth = self.orbit.distance
         position = origin + direction * depth / float(direction @ forward)
         return [user_commands.SetLight(replace(world.light, position=tuple(map(float, position))))]
 
-    def camera_moved(self, camera: Camera) -> bool:
-        """True if the camera, for the full picture, differs from that of the last call."""
-        before, self._view = self._view, (camera.width, camera.world_to_camera.tobytes())
-        return before != self._view
-
     def let_go(self) -> None:
         """End drags and held keys, as when the window loses the focus: their releases never come."""
         self._drop()
         self._walking.clear()
-        self._shift, self._light_cursor = False, None
+        self._shift = False
+        self._light_cursor: tuple | None = None  # where the light was put last, while its key is down
 
     def _drop(self) -> None:
         self.hand.drop()
-        self.drag = self._button = None
+        self.drag: str | None = None
+        self._button: str | None = None
 
-    def hands(self, camera: Camera, dt: float, commands: Iterable[Command], world: WorldView) -> list[Hand]:
+    def hands(self, dt: float, commands: Iterable[Command], world: WorldView) -> list[Hand]:
         """Walk for `dt` [s]; the mouse's hand then, if it grips. It moves at the world's pace, and waits while the
         world is paused, as it may be by these commands."""
         if self._walking:
@@ -330,23 +319,21 @@ class Controls:
             self.orbit.move(right * speed * dt, up * speed * dt, forward * speed * dt)
         pause = last_of(Pause, commands)
         waits = (world.paused if pause is None else pause.on) and last_of(SingleStep, commands) is None
-        return self.hand.hands(camera, 0.0 if waits else dt, world.time_scale)
+        return self.hand.hands(self.camera, 0.0 if waits else dt, world.time_scale)
 
-    def hovered(
-        self, world: WorldView, camera: Camera, cursor: tuple[float, float] | None, *, moving: bool
-    ) -> BodyState | None:
-        """The body under the cursor (u, v) [px of the camera], which a press would take; a cursor of None takes none.
+    def hovered(self, world: WorldView, *, over: bool, moving: bool) -> BodyState | None:
+        """The body under the cursor, which a press would take; none if the cursor is not `over` the picture.
 
         The world is only queried when something moves, and not in each frame: a query casts a ray.
         """
-        if cursor is None or self.drag is not None or not world.editable or world.demo:
+        if not over or self.drag is not None or not world.editable or world.demo:
             self._hovered = (None, None, 0.0)
             return None
-        k, before, when = self._hovered
+        k, cursor, when = self._hovered
         now = perf_counter()
-        if now - when > HOVER_PERIOD and (moving or cursor != before):
-            hit = world.pick(*camera.ray(*cursor))
+        if now - when > HOVER_PERIOD and (moving or cursor != self.cursor):
+            hit = world.pick(*self.camera.ray(*self.cursor))
             k = None if hit is None else hit[1]
-            self._hovered = (k, cursor, now)
+            self._hovered = (k, self.cursor, now)
         bodies = world.bodies()
         return bodies[k] if k is not None and k < len(bodies) and not bodies[k].held else None

@@ -28,8 +28,8 @@ class KeyBinding:
     keys    chords that all do the same; none of a gesture of the mouse
     label   what they do, for the user
     action  a command, whose body, if it has one, is that under the cursor; a function of the world that gives commands;
-            or the name of a method of Controls that takes a Press, or of a switch there. None: the keys act as long as
-            they are held, and Controls knows them
+            or the name of a method of Controls, or of a switch there. None: the keys act as long as they are held, and
+            Controls knows them
     text    how the user reads the keys; "": made from `keys`
     bodies  True: only where there are bodies, False: only where there are none
     """

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from core.camera import Camera, look_at, perspective
-from core.vocabulary import Hand
+from core.vocabulary import Hand, Vec3
 
 MAX_PITCH = np.radians(88.0)  # [rad]; nearer to the vertical the horizon would flip
 MIN_DISTANCE, MAX_DISTANCE = 0.05, 200.0  # [m] from eye to target
@@ -27,13 +27,21 @@ class OrbitCamera:
     """
 
     def __init__(self, eye, target, fov_y: float):
-        self._home = (np.array(eye, np.float64), np.array(target, np.float64))
-        self.fov_y = fov_y
+        self._home, self.fov_y = (eye, target), fov_y
         self.reset()
 
     def reset(self) -> None:
         """Back to where the scene begins."""
-        self.eye, self.target = (point.copy() for point in self._home)
+        self.look_from(*self._home)
+
+    @property
+    def view(self) -> tuple[Vec3, Vec3]:
+        """Eye and target [m]."""
+        return tuple(self.eye.tolist()), tuple(self.target.tolist())
+
+    def look_from(self, eye, target) -> None:
+        """Go to an eye and look at a target (3,) [m]."""
+        self.eye, self.target = np.array(eye, np.float64), np.array(target, np.float64)
 
     @property
     def distance(self) -> float:

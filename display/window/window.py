@@ -65,8 +65,8 @@ class Window(Display):
         self._resolution = WindowResolution()
         self._controls = Controls(scene, self._preferences, name, self._open_dialog)
         self._controls.panel = self._preferences.get("panel.open", bool, True)
-        self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
-        self._cursor = (0.0, 0.0)
+        self._controls.update_camera(self.size)
+        self._moved = True  # the camera, in the last frame
         self._time = 0.0  # [s] of all frames
         self._busy = False  # does anything move
         self._dropped = 0.0  # [s] that have passed and were never simulated
@@ -128,8 +128,8 @@ class Window(Display):
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the user quits; slower where that cannot be kept up (display/clock.py)."""
-        last, orbit = perf_counter(), self._controls.orbit
-        while not (self._controls.quit or self._surface.closing):
+        last, controls = perf_counter(), self._controls
+        while not (controls.quit or self._surface.closing):
             if self._surface.asleep():
                 world.timings.rest()
                 last = perf_counter()
@@ -141,15 +141,16 @@ class Window(Display):
             dt = min(seconds, catch_up_limit(cost))
             self._dropped += 0.0 if cost is None else seconds - dt
             drawing = world.timings.latest("shadow", "render", "present")
-            self._busy = self._controls.camera_moved(self._camera) or world.moving
+            self._busy = self._moved or world.moving
             self._resolution.note(now, seconds, drawing, moving=self._busy)
             self._resize(now, world)
             commands = self._handle(events, world)
-            self._controls.follow(world)
-            hands = self._controls.hands(self._camera, dt, commands, world)
+            controls.follow(world)
+            hands = controls.hands(dt, commands, world)
             self._time += dt
-            self._camera = orbit.camera(self._camera.width, self._camera.height)
-            yield Frame(dt, self._time, [orbit.camera(*world.picture_size)], hands, commands, max_step=MAX_STEP)
+            self._moved = controls.update_camera(fit(world.picture_size, self._surface.frame_size)[2:])
+            camera = controls.orbit.camera(*world.picture_size)
+            yield Frame(dt, self._time, [camera], hands, commands, max_step=MAX_STEP)
 
     def present(self, world: WorldView) -> None:
         """Show the world's picture, and the panel over it."""
@@ -158,7 +159,7 @@ class Window(Display):
             self._texture.draw(self._surface.frame_size)
             controls, panel = self._controls, self._panel
             lines = [*world.lines(), *measuring_lines(controls.measured, controls.orbit.eye)]
-            draw_lines(lines, self._camera, self._from_picture, self._surface.scale)
+            draw_lines(lines, self._controls.camera, self._from_picture, self._surface.scale)
             panel.help = controls.help
             self._commands = panel.draw(world, visible=controls.panel) + self._draw_gizmo(world)
             controls.help = panel.help
@@ -202,8 +203,6 @@ class Window(Display):
             self._resized = (window, now)
         elif now - self._resized[1] > RESIZE_DELAY and world.picture_size != self.size:
             world.resize(*self.size)
-        _, _, width, height = fit(world.picture_size, window)
-        self._camera = self._controls.orbit.camera(max(1, width), max(1, height))
 
     def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
         """Hand the events to the controls, but not those that belong to the panel."""
@@ -213,58 +212,62 @@ class Window(Display):
         controls.note(commands)
         for kind, *what in events:
             if kind == "move":
-                u, v = self._to_picture(*what)
-                controls.move(u - self._cursor[0], v - self._cursor[1], self._camera)
-                self._cursor = (u, v)
+                controls.move(*self._to_picture(*what))
             elif kind == "button":
                 name, down, *position = what
-                self._cursor = self._to_picture(*position)
+                controls.cursor = self._to_picture(*position)
                 if not down:
                     controls.release(name)
                 elif not (io.want_capture_mouse or self._gizmo.over):
-                    controls.press(name, *self._cursor, self._camera, world)
+                    controls.press(name, world)
             elif kind == "wheel" and not io.want_capture_mouse:
                 controls.wheel(*what)
             elif kind == "key" and not (what[1] and (io.want_text_input or listing)):
-                commands += controls.key(*what, world, *self._cursor, self._camera)
+                commands += controls.key(*what, world)
             elif kind == "drop" and world.editable:
                 self._open_dialog.offer(*what)
             elif kind == "drop":
                 commands.append(ViewFiles(tuple(*what)))
             elif kind == "blur":
                 controls.let_go()
-        commands += controls.place_light(world, *self._cursor, self._camera)
+        commands += controls.place_light(world)
         return controls.completed(commands, self._surface.frame_size)
+
+    @property
+    def _area(self) -> tuple[int, int, int, int]:
+        """Left, top, width and height of the picture in screen coordinates."""
+        camera = self._controls.camera
+        return fit((camera.width, camera.height), self._surface.window_size)
 
     def _to_picture(self, x: float, y: float) -> tuple[float, float]:
         """Picture pixels of a position in screen coordinates."""
-        left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
-        return (x - left) / width * self._camera.width, (y - top) / height * self._camera.height
+        left, top, width, height = self._area
+        return (x - left) / width * self._controls.camera.width, (y - top) / height * self._controls.camera.height
 
     def _from_picture(self, at: tuple[float, float]) -> tuple[float, float]:
-        """Screen coordinates of picture pixels: the inverse of `_to_picture`."""
-        left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
-        return left + at[0] / self._camera.width * width, top + at[1] / self._camera.height * height
+        """Screen coordinates of picture pixels."""
+        left, top, width, height = self._area
+        return left + at[0] / self._controls.camera.width * width, top + at[1] / self._controls.camera.height * height
 
     def _draw_gizmo(self, world: WorldView) -> list[Command]:
         """Draw the gizmo of the selected body, or of the room; its commands."""
         kind, k, bodies = self._controls.gizmo, world.selected, world.bodies()
-        area = fit((self._camera.width, self._camera.height), self._surface.window_size)
+        camera, area = self._controls.camera, self._area
         if kind == ROOM_GIZMO and world.room_middle is not None:
-            return self._gizmo.draw("turn", world.room_middle, None, self._camera, area)
+            return self._gizmo.draw("turn", world.room_middle, None, camera, area)
         if kind in (None, ROOM_GIZMO) or k is None or k >= len(bodies) or bodies[k].held:
             self._gizmo.hide()
             return []
-        commands = self._gizmo.draw(kind, bodies[k].centroid, k, self._camera, area)
+        commands = self._gizmo.draw(kind, bodies[k].centroid, k, camera, area)
         if self._gizmo.scaling != 1.0:
             self._draw_marker(scaled(bodies[k], self._gizmo.scaling))
         return commands
 
     def _draw_markers(self, world: WorldView) -> None:
         """Draw corners around the body that is to be marked, and fainter ones around that under the cursor."""
-        body, elsewhere = marked(world, near=self._panel.edits), imgui.get_io().want_capture_mouse or self._gizmo.over
-        cursor = self._cursor if imgui.is_mouse_pos_valid() and not elsewhere else None
-        under = self._controls.hovered(world, self._camera, cursor, moving=self._busy)
+        body = marked(world, near=self._panel.edits)
+        over = imgui.is_mouse_pos_valid() and not (imgui.get_io().want_capture_mouse or self._gizmo.over)
+        under = self._controls.hovered(world, over=over, moving=self._busy)
         if body is not None:
             self._draw_marker(body)
         if under is not None and under is not body:
@@ -273,7 +276,7 @@ class Window(Display):
     def _draw_marker(self, body: BodyState, strength: float = 1.0) -> None:
         """Draw corners around a body; those behind it are fainter."""
         draw_list, scale = imgui.get_background_draw_list(), self._surface.scale
-        for start, end, opacity in marker_lines(body, self._camera):
+        for start, end, opacity in marker_lines(body, self._controls.camera):
             a, b, opacity = self._from_picture(start), self._from_picture(end), strength * opacity
             for colour, width in (((0.0, 0.0, 0.0, 0.35 * opacity), 4.0), ((*COLOUR, opacity), 2.0)):
                 draw_list.add_line(a, b, imgui.get_color_u32(colour), width * scale)
@@ -291,7 +294,7 @@ class Window(Display):
 
     def _draw_hand(self) -> None:
         """Draw a ring around the gripped point, and the hand for a cursor."""
-        at = project(self._camera, self._controls.hand.position)
+        at = project(self._controls.camera, self._controls.hand.position)
         if at is None:
             return
         at = self._from_picture(at)

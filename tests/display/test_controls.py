@@ -35,7 +35,18 @@ def world() -> BallWorld:
 
 @pytest.fixture
 def controls() -> Controls:
-    return Controls(fake_scene())
+    controls = Controls(fake_scene())
+    controls.update_camera((WIDTH, HEIGHT))
+    return controls
+
+
+def press(controls, button, world, at=CENTRE):
+    controls.cursor = at
+    controls.press(button, world)
+
+
+def move(controls, du, dv):
+    controls.move(controls.cursor[0] + du, controls.cursor[1] + dv)
 
 
 # camera
@@ -69,8 +80,8 @@ def test_an_orbit_stops_at_the_ground_unless_the_eye_is_below_it_already():
 
 def test_a_drag_goes_no_lower_than_the_table(controls, world):
     world.ground = lambda point: -0.4
-    controls.press("left", *SKY, CAMERA, world)
-    controls.move(0.0, -170.0, CAMERA)
+    press(controls, "left", world, SKY)
+    move(controls, 0.0, -170.0)
     assert controls.orbit.eye[1] == pytest.approx(-0.35)
 
 
@@ -187,28 +198,29 @@ def test_a_new_grip_at_once_after_the_last_leaves_a_frame_without_a_hand():
 
 
 def key(controls, name, world, at=SKY, down=True):
-    return controls.key(name, down, world, *at, CAMERA)
+    controls.cursor = at
+    return controls.key(name, down, world)
 
 
 def test_left_press_on_a_body_grabs_it_and_beside_it_turns(controls, world):
-    controls.press("left", *CENTRE, CAMERA, world)
-    (hand,) = controls.hands(CAMERA, 0.01, [], world)
+    press(controls, "left", world)
+    (hand,) = controls.hands(0.01, [], world)
     assert controls.drag == "grab" and hand.grip
     assert_allclose(hand.position, (0, 0, RADIUS), atol=1e-9)
     assert hand.reach == 0.25 * 2 * RADIUS
     controls.release("right")  # another button changes nothing
     assert controls.drag == "grab"
     controls.release("left")
-    assert controls.drag is None and controls.hands(CAMERA, 0.01, [], world) == []
-    controls.press("left", *SKY, CAMERA, world)
+    assert controls.drag is None and controls.hands(0.01, [], world) == []
+    press(controls, "left", world, SKY)
     assert controls.drag == "turn"
-    controls.move(10.0, 0.0, CAMERA)
+    move(controls, 10.0, 0.0)
     assert controls.orbit.eye[0] < 0  # the scene follows the cursor to the right
 
 
 def test_nothing_is_grabbed_while_the_world_is_paused(controls, world):
     world.paused = True
-    controls.press("left", *CENTRE, CAMERA, world)
+    press(controls, "left", world)
     assert controls.drag == "turn"
 
 
@@ -216,56 +228,56 @@ def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls, world):
     controls.wheel(1)
     assert_allclose(controls.orbit.distance, 2.7)
     controls.orbit.reset()
-    controls.press("left", *CENTRE, CAMERA, world)
+    press(controls, "left", world)
     controls.wheel(2)
     key(controls, "shift", world)
-    controls.move(0.0, -18.0, CAMERA)  # a tenth of the height, upwards: away
+    move(controls, 0.0, -18.0)  # a tenth of the height, upwards: away
     for _ in range(90):
-        (hand,) = controls.hands(CAMERA, 1 / 60, [], world)
+        (hand,) = controls.hands(1 / 60, [], world)
     assert_allclose(3.0 - hand.position[2], 2.7 * np.exp(2 * 0.06 + 0.2), rtol=1e-6)
     assert_allclose(controls.orbit.distance, 3.0)
 
 
 def test_a_hand_waits_while_the_world_does_not_run(controls, world):
-    controls.press("left", *CENTRE, CAMERA, world)
-    controls.move(50.0, 0.0, CAMERA)
+    press(controls, "left", world)
+    move(controls, 50.0, 0.0)
     world.paused = True
-    (hand,) = controls.hands(CAMERA, 0.05, [], world)
+    (hand,) = controls.hands(0.05, [], world)
     assert_allclose(hand.position, (0, 0, RADIUS), atol=1e-9)
 
 
 @pytest.mark.parametrize("button", ["right", "middle"])
 def test_shift_drag_pans_so_that_the_target_plane_follows_the_cursor(controls, world, button):
     key(controls, "shift", world)
-    controls.press(button, *CENTRE, CAMERA, world)
-    controls.move(30.0, 12.0, CAMERA)
+    press(controls, button, world)
+    move(controls, 30.0, 12.0)
     moved = controls.orbit.camera(WIDTH, HEIGHT)
     assert_allclose(project(moved, np.zeros(3)), (CENTRE[0] + 30, CENTRE[1] + 12))
 
 
 def test_right_drag_looks_and_middle_drag_turns(controls, world):
-    controls.press("right", *CENTRE, CAMERA, world)
-    controls.move(20.0, 0.0, CAMERA)
+    press(controls, "right", world)
+    move(controls, 20.0, 0.0)
     assert_allclose(controls.orbit.eye, (0, 0, 3))
     assert controls.orbit.target[0] > 0
     controls.release("right")
     controls.orbit.reset()
-    controls.press("middle", *CENTRE, CAMERA, world)
-    controls.move(20.0, 0.0, CAMERA)
+    press(controls, "middle", world)
+    move(controls, 20.0, 0.0)
     assert_allclose(controls.orbit.target, 0)
     assert controls.orbit.eye[0] < 0
 
 
 def test_walking_goes_on_while_a_key_is_held(controls, world):
     key(controls, "w", world)
-    controls.hands(CAMERA, 0.5, [], world)
+    controls.hands(0.5, [], world)
     assert_allclose(controls.orbit.eye, (0, 0, 3 - 0.5 * 0.8 * 3), atol=1e-12)
     key(controls, "w", world, down=False)
-    controls.hands(CAMERA, 0.5, [], world)
+    controls.hands(0.5, [], world)
     assert_allclose(controls.orbit.eye[2], 1.8)
     key(controls, "d", world)
     controls.let_go()  # the window lost the keyboard
-    controls.hands(CAMERA, 0.5, [], world)
+    controls.hands(0.5, [], world)
     assert_allclose(controls.orbit.eye[0], 0.0)
 
 
@@ -294,7 +306,7 @@ def test_keys_become_commands(controls, world):
 
 def test_escape_ends_what_has_begun_and_quits_only_if_nothing_has(controls, world):
     world.demo, controls.help, controls.gizmo = True, True, "turn"
-    controls.press("left", *CENTRE, CAMERA, world)
+    press(controls, "left", world)
     assert key(controls, "escape", world) == [] and controls.drag is None and not controls.hand.gripping
     assert controls.help
     assert key(controls, "escape", world) == [] and not controls.help and controls.gizmo
@@ -319,9 +331,9 @@ def test_the_gizmo_is_that_of_the_body_under_the_cursor_else_of_the_selected_one
 
 
 def test_reset_lets_go_of_what_is_held(controls, world):
-    controls.press("left", *CENTRE, CAMERA, world)
+    press(controls, "left", world)
     key(controls, "r", world)
-    assert controls.drag is None and controls.hands(CAMERA, 0.01, [], world) == []
+    assert controls.drag is None and controls.hands(0.01, [], world) == []
 
 
 # editing
@@ -340,7 +352,7 @@ def test_editing_keys_mean_what_is_under_the_cursor_else_what_was_held_last(cont
     assert key(controls, name, world, CENTRE) == [command(0)]
     assert key(controls, name, world) == [command(None)]  # the sky
     assert key(controls, name, world, CENTRE, down=False) == []
-    controls.press("left", *CENTRE, CAMERA, world)
+    press(controls, "left", world)
     assert key(controls, name, world, CENTRE) == [command(None)]  # the one that is held
     world.editable = False  # a viewed file: it is turned and scaled as a whole
     assert len(key(controls, name, world, CENTRE)) == (name in ("plus", "minus"))
@@ -358,7 +370,7 @@ def test_turning_keys_turn_both_ways_about_the_vertical(controls, world):
 
 
 def test_undo_and_redo_let_go_of_what_is_dragged(controls, world):
-    controls.press("left", *CENTRE, CAMERA, world)
+    press(controls, "left", world)
     assert controls.drag == "grab"
     assert key(controls, "ctrl+z", world) == [user_commands.Undo()]
     assert controls.drag is None and not controls.hand.gripping
@@ -370,7 +382,8 @@ def test_undo_and_redo_let_go_of_what_is_dragged(controls, world):
 
 def test_the_light_follows_the_cursor_while_its_key_is_down(controls, world):
     def place(u, v):
-        return [command.light for command in controls.place_light(world, u, v, CAMERA)]
+        controls.cursor = (u, v)
+        return [command.light for command in controls.place_light(world)]
 
     world.light = Light((0.5, 1.0, 1.0), target=(0.0, 0.0, 0.0), strength=0.4)
     assert place(40.0, 30.0) == []

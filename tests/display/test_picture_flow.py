@@ -10,7 +10,7 @@ BYTES = {35: 20_000, 50: 30_000, 65: 40_000, 80: 60_000}  # of a picture of 960x
 def run(delay: float, bytes_per_second: float, *, seconds: float = 20.0, rate: float = 60.0):
     """The flow after some time, and [s] from the sending of each picture of the last half to its answer."""
     flow, now, free = PictureFlow(), 0.0, 0.0
-    flow.note_delay(delay)
+    flow.delays.append(delay)
     answers: list[tuple[float, int, float]] = []  # when, which, sent when
     ways = []
     while now < seconds:
@@ -47,7 +47,7 @@ def test_a_narrow_connection_gets_coarser_pictures_and_none_waits_for_long(delay
 
 def test_a_page_that_never_answers_gets_a_bounded_number_of_pictures():
     flow = PictureFlow()
-    flow.note_delay(10.0)
+    flow.delays.append(10.0)
     while flow.ready:
         flow.send(0.0, 1, 80)
     assert len(flow._sent) == MAX_UNDER_WAY

@@ -281,8 +281,8 @@ def test_time_is_caught_up_with_where_simulation_is_faster_than_it(monkeypatch, 
     window._surface = MagicMock(frame_size=(96, 54), closing=False, asleep=lambda: False, begin=list)
     window._controls = MagicMock(orbit=orbit, quit=False)
     window._panel, window._resolution = MagicMock(panel=MagicMock(scale=None)), WindowResolution()
-    window._camera, window._dropped, window._time = orbit.camera(96, 54), 0.0, 0.0
-    window._commands, window._resized, window._cursor = [], ((96, 54), 0.0), (0.0, 0.0)
+    window._moved, window._dropped, window._time = False, 0.0, 0.0
+    window._commands, window._resized = [], ((96, 54), 0.0)
     window._handle = lambda events, world: []
     timings = MagicMock(latest=lambda *_: 0.0)
     world = MagicMock(simulation_cost=cost, picture_size=(96, 54), paused=False, moving=False, timings=timings)

@@ -224,16 +224,8 @@ def open_display(
         if has_display():
             from display.window.window import Window
 
-            width, height = options.size or (None, None)
-            return Window(
-                scene,
-                title=title,
-                width=width,
-                height=height,
-                hint=replay is None,
-                preferences=preferences,
-                name=name,
-            )
+            hint = replay is None
+            return Window(scene, title=title, size=options.size, preferences=preferences, name=name, hint=hint)
         options.headless = True
         options.record = options.record or Path(f"{name}.mp4")
         options.snapshot = options.snapshot or Path(f"{name}.png")

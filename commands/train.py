@@ -377,7 +377,7 @@ def _preview(options: TrainOptions, capture, trainer, progress: _Progress) -> No
             progress.step()
         return progress.text
 
-    with Window(scene, title=f"VR-GS: training {options.capture.name}", width=None, height=None) as window:
+    with Window(scene, title=f"VR-GS: training {options.capture.name}") as window:
         options = trainer.options
         viewer = TrainingWorld(
             trainer.population.splats, scene, advance, size=window.size, sort=options.sort, antialias=options.antialias

@@ -201,7 +201,7 @@ def view(options: ViewOptions) -> None:
     if options.snapshot is not None:
         check_writable(options.snapshot)
         start_taichi(options.arch)
-        viewer = Viewer(files, scene, width=width, height=height, sort=options.sort)
+        viewer = Viewer(files, scene, (width, height), sort=options.sort)
         viewer.draw([perspective(width, height, scene.fov_y, look_at(scene.eye, scene.target))])
         save_picture(options.snapshot, pixels_of(viewer.picture))
         return
@@ -209,19 +209,16 @@ def view(options: ViewOptions) -> None:
     from display.preferences import Preferences
     from display.window.window import Window
 
-    width, height = options.size or (None, None)
     display = Window(
         scene,
         title=options.files[0].name if len(files) == 1 else f"{len(files)} files",
-        width=width,
-        height=height,
+        size=options.size,
         preferences=Preferences.of_user(),
         name=options.files[0].name,
     )
     with display, Keeper(str(options.files[0])) as keeper:
         start_taichi(options.arch)
-        width, height = display.size
-        viewer = Viewer(files, scene, width=width, height=height, sort=options.sort, out=options.out)
+        viewer = Viewer(files, scene, display.size, sort=options.sort, out=options.out)
         for frame in itertools.islice(display.frames(viewer), options.frames):
             viewer.step(frame)
             display.present(viewer)

@@ -119,22 +119,21 @@ class TrainingWorld(SplatWorld):
 class Viewer(SplatWorld):
     """A world of splat files, one of which is shown.
 
-    files  at least one;   out  what `WriteSplats` writes; None: a new name each time
+    files  at least one;   size  (width, height) [px];   out  what `WriteSplats` writes; None: a new name each time
     """
 
     def __init__(
         self,
         files: Sequence[ViewedFile],
         scene: Scene,
+        size: tuple[int, int],
         *,
-        width: int,
-        height: int,
         sort: str | None = None,
         out: Path | None = None,
     ):
         self.axes, self._files, self._index, self._out, self._sort = False, list(files), 0, out, sort
         splats = self._splats_for(max(len(f.gaussians) for f in files), max(f.gaussians.sh.shape[1] for f in files))
-        super().__init__(splats, scene, (width, height), sort=self._order)
+        super().__init__(splats, scene, size, sort=self._order)
         self._drawn_order = self._order
         self._show_crop()
         self.up_choices = self._choices()

@@ -73,7 +73,7 @@ class MarkWindow:
     def __init__(self, subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]):
         self.subject, self.edit = subject, edit
         self.tool, self.line = "inside", ""  # what the left button draws; what is said at the panel's foot
-        self._surface = GLWindow(title, *size, vsync=True)
+        self._surface = GLWindow(title, *size)
         apply_theme(self._surface.scale)
         self._texture, self._placed = PictureTexture(self._surface.gl), PlacedPicture()
         self._typed: str | None = None  # a name that is being written

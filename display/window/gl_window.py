@@ -31,7 +31,7 @@ class GLWindow:
     ("wheel", notches), ("drop", paths) and ("blur",), positions in screen coordinates (not pixels on every platform).
     """
 
-    def __init__(self, title: str, width: int, height: int, *, vsync: bool):
+    def __init__(self, title: str, width: int, height: int, *, vsync: bool = True):
         if not has_display():
             raise BadInput(f"{NO_DISPLAY}; {HEADLESS_INSTEAD}")
         errors: list[str] = []

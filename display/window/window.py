@@ -35,10 +35,11 @@ DEFAULT_SIZE = (960, 540)  # in screen coordinates
 class Window(Display):
     """A display: `for frame in window.frames(world): world.step(frame); window.present(world)`.
 
-    `width` and `height` are in screen coordinates, by default those of `preferences`, which keep size, place, panel
-    and the views of the scene of that `name` from one start to the next; `size` is the picture's. Raises BadInput
-    without a display or OpenGL 3.3. With `hint` the first picture says how to begin. Close it (or use it in a
-    `with`), so that the screen is given back.
+    size         (width, height) in screen coordinates; None: that of the preferences. The attribute is the picture's
+    preferences  keep size, place, panel, and the views of the scene of that `name` from one start to the next
+    hint         the first picture says how to begin
+
+    Raises BadInput without a display or OpenGL 3.3. Close it (or use it in a `with`), so that the screen is given back.
     """
 
     def __init__(
@@ -46,16 +47,14 @@ class Window(Display):
         scene: Scene,
         *,
         title: str = "VR-GS",
-        width: int | None = None,
-        height: int | None = None,
+        size: tuple[int, int] | None = None,
         preferences: Preferences | None = None,
         name: str = "",
         hint: bool = True,
-        vsync: bool = True,
     ):
         self._preferences = preferences or Preferences()
-        self._surface = GLWindow(title, width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1], vsync=vsync)
-        self._opened = self._restore(asked=width is not None)
+        self._surface = GLWindow(title, *(size or DEFAULT_SIZE))
+        self._opened = self._restore(asked=size is not None)
         self._texture = PictureTexture(self._surface.gl)
         self._menu, self._open_dialog = SceneMenu(self._surface.gl), OpenDialog(self._preferences)
         self._up_choice, self._length_dialog = UpChoice(self._surface.gl), LengthDialog()

@@ -85,13 +85,6 @@ def test_a_drag_goes_no_lower_than_the_table(controls, world):
     assert controls.orbit.eye[1] == pytest.approx(-0.35)
 
 
-def test_look_keeps_the_eye_and_turns_left_for_positive_yaw():
-    orbit = OrbitCamera((0, 0, 3), (0, 0, 0), 0.9)
-    orbit.look(0.3, 0.1)
-    assert_allclose(orbit.eye, (0, 0, 3))
-    assert orbit.target[0] < -0.5 and orbit.target[1] > 0.2
-
-
 def test_move_follows_the_camera_axes_and_reset_returns():
     orbit = OrbitCamera((3, 0, 0), (0, 0, 0), 0.9)  # looks along -x: right is -z
     orbit.move(1.0, 2.0, 0.5)
@@ -103,8 +96,6 @@ def test_move_follows_the_camera_axes_and_reset_returns():
 
 def test_zoom_never_reaches_the_target():
     orbit = OrbitCamera((0, 0, 3), (0, 0, 0), 0.9)
-    orbit.zoom(1)
-    assert_allclose(orbit.distance, 2.7)
     orbit.zoom(1000)
     assert 0.04 < orbit.distance < 0.06 and np.isfinite(orbit.eye).all()
 
@@ -218,12 +209,6 @@ def test_left_press_on_a_body_grabs_it_and_beside_it_turns(controls, world):
     assert controls.orbit.eye[0] < 0  # the scene follows the cursor to the right
 
 
-def test_nothing_is_grabbed_while_the_world_is_paused(controls, world):
-    world.paused = True
-    press(controls, "left", world)
-    assert controls.drag == "turn"
-
-
 def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls, world):
     controls.wheel(1)
     assert_allclose(controls.orbit.distance, 2.7)
@@ -238,12 +223,15 @@ def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls, world):
     assert_allclose(controls.orbit.distance, 3.0)
 
 
-def test_a_hand_waits_while_the_world_does_not_run(controls, world):
+def test_while_the_world_is_paused_a_hand_waits_and_grabs_nothing(controls, world):
     press(controls, "left", world)
     move(controls, 50.0, 0.0)
     world.paused = True
     (hand,) = controls.hands(0.05, [], world)
     assert_allclose(hand.position, (0, 0, RADIUS), atol=1e-9)
+    controls.release("left")
+    press(controls, "left", world)
+    assert controls.drag == "turn"
 
 
 @pytest.mark.parametrize("button", ["right", "middle"])
@@ -287,7 +275,7 @@ def test_keys_become_commands(controls, world):
         "n": [user_commands.Pause(True), user_commands.SingleStep()],
         "t": [user_commands.SetInteraction("transform")],
         "p": [user_commands.PlayDemo(True)],
-        "r": [user_commands.Reset()],
+        "u": [user_commands.Undo()],
         "home": [],
         "f1": [],
     }.items():
@@ -330,9 +318,12 @@ def test_the_gizmo_is_that_of_the_body_under_the_cursor_else_of_the_selected_one
     assert key(controls, "g", world) == [user_commands.Select(0)]
 
 
-def test_reset_lets_go_of_what_is_held(controls, world):
+@pytest.mark.parametrize(
+    ("name", "command"), [("r", user_commands.Reset), ("ctrl+z", user_commands.Undo), ("ctrl+y", user_commands.Redo)]
+)
+def test_what_may_take_the_body_away_lets_go_of_it(controls, world, name, command):
     press(controls, "left", world)
-    key(controls, "r", world)
+    assert key(controls, name, world) == [command()]
     assert controls.drag is None and controls.hands(0.01, [], world) == []
 
 
@@ -367,17 +358,6 @@ def test_turning_keys_turn_both_ways_about_the_vertical(controls, world):
     over = key(controls, "comma", world)[0].rotation
     assert_allclose(over[1:], np.sin(TURN_STEP / 2) * CAMERA.world_to_camera[0, :3])
     assert_allclose(key(controls, "period", world)[0].rotation, np.multiply(over, [1, -1, -1, -1]))
-
-
-def test_undo_and_redo_let_go_of_what_is_dragged(controls, world):
-    press(controls, "left", world)
-    assert controls.drag == "grab"
-    assert key(controls, "ctrl+z", world) == [user_commands.Undo()]
-    assert controls.drag is None and not controls.hand.gripping
-    assert key(controls, "ctrl+y", world) == [user_commands.Redo()]
-    assert key(controls, "u", world) == [user_commands.Undo()]
-    key(controls, "shift", world)
-    assert key(controls, "u", world) == key(controls, "ctrl+z", world) == [user_commands.Redo()]
 
 
 def test_the_light_follows_the_cursor_while_its_key_is_down(controls, world):

@@ -15,7 +15,7 @@ from assets.file_access import write_json
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from display.panel import frame_lines
-from display.picture import fit, pixels_of, save_picture, side_by_side
+from display.picture import fit, pixels_of, save_picture
 from display.protocol import Frame
 from display.timing import ProgressLine, Timings, run_stats
 from tests.support.fake_world import FakeWorld, fake_scene
@@ -57,13 +57,6 @@ def test_png_holds_the_same_colours_and_no_transparency(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["p.png"]
     with pytest.raises(BadInput, match=r"nowhere does not exist"):
         save_picture(tmp_path / "nowhere" / "p.png", pixels)
-
-
-def test_two_views_lie_side_by_side():
-    pixels = np.arange(4 * 3 * 4, dtype=np.uint8).reshape(4, 3, 4)
-    both = side_by_side(pixels, 2)
-    assert both.shape == (2, 6, 4)
-    assert (both[:, :3] == pixels[:2]).all() and (both[:, 3:] == pixels[2:]).all()
 
 
 # numbers

@@ -77,7 +77,7 @@ def test_a_viewed_asset_is_turned_scaled_and_kept(ti_cpu, tmp_path):
     Asset(some_gaussians()).save(tmp_path / "room.h5")
     write_ply(tmp_path / "splat.ply", some_gaussians())
     files = [ViewedFile.read(tmp_path / "room.h5", None), ViewedFile.read(tmp_path / "splat.ply", None)]
-    viewer = Viewer(files, scene_around(files[0].gaussians, 1.5), width=SIZE[0], height=SIZE[1])
+    viewer = Viewer(files, scene_around(files[0].gaussians, 1.5), SIZE)
     before = Asset.load(tmp_path / "room.h5").gaussians.means
     step(viewer, Rotate(None, HALF), Rescale(None, 2.0))
     step(viewer, KeepFrame())

@@ -32,24 +32,11 @@ def test_messages_are_read(message, values):
     "message",
     [
         *("", "{}", "[]", "[1]", '["unknown"]', '[["move"], 1, 2, 3]', "[" * 2000, b'["blur"]'),
-        *(
-            '["move", 1, 2]',
-            '["move", 1, 2, 3, 4]',
-            '["move", 1, NaN, 3]',
-            '["move", 1e9, 0, 3]',
-            '["move", true, 0, 3]',
-        ),
-        *(
-            '["button", "fourth", true, 0, 0, 1]',
-            '["button", "left", 1, 0, 0, 1]',
-            '["size", 0, 100]',
-            '["size", 1e9, 100]',
-        ),
+        *(f'["move", {values}]' for values in ("1, 2", "1, 2, 3, 4", "1, NaN, 3", "1e9, 0, 3", "true, 0, 3")),
+        *(f'["button", {values}, 0, 0, 1]' for values in ('"fourth", true', '"left", 1')),
+        *(f'["size", {width}, 100]' for width in ("0", "1e9")),
         '["key", "' + 50 * "x" + '", "a", true, false, 1]',
-        *(
-            f'["panel", "Body", "stiffness", {value}]'
-            for value in ("1e99, true", "null, true", '{"value": 1}, true', "1")
-        ),
+        *(f'["panel", "Body", "stiffness", {value}]' for value in ("1e99, true", "null, true", "{}, true", "1")),
         '["open", "manipulation", {"animal": 3}]',
         '["open", "manipulation", {' + ", ".join(f'"{k}": "a"' for k in range(11)) + "}]",
     ],
@@ -74,7 +61,7 @@ def test_rows_of_the_panel_take_what_they_show_and_nothing_else():
     assert sent("Performance", "resolution", "1/2") == [] and panel.scale == 0.5
     assert sent("Keep", "export", "export .obj") == sent("Keep", "selected body only", True) == []
     assert sent("Keep", "Export", True) == [user_commands.Export("obj", 0)]
-    for wrong in (
+    for section, name, value in (
         ("Play", "Pause", False),
         ("Play", "Format", True),
         ("Files", "Pause", True),
@@ -84,7 +71,7 @@ def test_rows_of_the_panel_take_what_they_show_and_nothing_else():
         ("Performance", "resolution", 0.5),
         ("Keep", "with shadows", 1.0),
     ):
-        assert sent(*wrong) == []
+        assert sent(section, name, value) == []
     assert panel.scale == 0.5
 
 
@@ -101,10 +88,8 @@ def test_a_page_is_told_all_sections_as_plain_data():
 @pytest.mark.parametrize(
     ("code", "key", "down", "ctrl", "name"),
     [
-        ("KeyW", "w", True, False, "w"),
-        ("KeyW", "z", True, False, "w"),  # walking goes by the place of the keys
-        ("KeyZ", "w", True, False, None),
-        ("KeyY", "z", True, True, "ctrl+z"),  # all else by what is printed on them
+        ("KeyW", "z", True, False, "w"),
+        ("KeyY", "z", True, True, "ctrl+z"),
         ("KeyZ", "z", False, True, "z"),
         ("ShiftRight", "Shift", True, False, "shift"),
         ("NumpadAdd", "+", True, False, "plus"),

@@ -89,7 +89,7 @@ def test_the_viewer_shows_one_file_after_the_other(file, tmp_path, ti_cpu):
     write_ply(tmp_path / "other.ply", cloud(1, 300))
     other = ViewedFile.read(tmp_path / "other.ply", "+y")
     out = tmp_path / "out.ply"
-    world = Viewer([file, other], scene_around(file.gaussians, 1.5), width=96, height=64, out=out)
+    world = Viewer([file, other], scene_around(file.gaussians, 1.5), (96, 64), out=out)
 
     def step(*commands):
         world.step(Frame(1 / 60, 0.0, [CAMERA], commands=list(commands)))

@@ -11,7 +11,7 @@ import pytest
 import vrgs
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
-from display.viewed_file import ViewedFile, camera_around, middle_and_radius
+from display.viewed_file import camera_around, middle_and_radius
 from tests.support.waiting import until
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
@@ -59,13 +59,6 @@ def test_a_single_gaussian_has_a_size_too():
     middle, radius = middle_and_radius(ball().select([0]))
     np.testing.assert_allclose(middle, ball().means[0])
     assert radius == pytest.approx(0.06, rel=1e-3)
-
-
-def test_the_named_axis_points_up(file):
-    viewed = ViewedFile.read(file, "+x")
-    g = viewed.gaussians
-    assert viewed.note == "+x is up"
-    assert g.means[:-1, 1].mean() == pytest.approx(3.0, abs=0.3)  # where x was
 
 
 def test_the_picture_of_the_command(file, tmp_path):

@@ -233,7 +233,7 @@ def open_display(scene: Scene, args):
         return Browser(scene, title="Ball")
     from display.window.window import Window
 
-    return Window(scene, title="Ball", width=args.size[0], height=args.size[1])
+    return Window(scene, title="Ball", size=tuple(args.size))
 
 
 def record(frame, world) -> dict:

@@ -62,16 +62,15 @@ class SplatSubject:
     size, version = PICTURE_SIZE, 0
 
     def __init__(self, gaussians: Gaussians, marks: SplatMarks):
-        from display.viewed_file import FOV_Y, eye_around, middle_and_radius
+        from display.viewed_file import FOV_Y, view_around
         from prepare.segment.splat_segmentation import LiveSelection
 
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))
         upright = np.eye(4)
         upright[:3, :3] = rotation_to_up(guess_up_axis(some)[0])
         turned = replace(some, means=(some.means @ upright[:3, :3].T).astype(np.float32))
-        middle, radius = middle_and_radius(turned)
-        eye = eye_around(middle, radius, 0.0, aspect=PICTURE_SIZE[0] / PICTURE_SIZE[1])
-        self.free = FreeView(OrbitCamera(eye, middle, FOV_Y), PICTURE_SIZE, upright, marks.cameras)
+        view = view_around(turned, PICTURE_SIZE[0] / PICTURE_SIZE[1])
+        self.free = FreeView(OrbitCamera(*view, FOV_Y), PICTURE_SIZE, upright, marks.cameras)
         self._selection = LiveSelection(gaussians)
 
     @property

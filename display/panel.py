@@ -197,7 +197,6 @@ class Panel:
         return [*made, self.keep_section(world), self._performance_section()]
 
     def _body_section(self, world: WorldView) -> Section:
-        """Material and edits of the body that was last held or pointed at."""
         bodies, k = world.bodies(), world.selected
         if k is None or k >= len(bodies):
             return Section("Body", [Text("Take hold of a body to change it.")], folded=False)
@@ -234,7 +233,6 @@ class Panel:
         return Section("Keep", rows)
 
     def _performance_section(self) -> Section:
-        """The picture's resolution, durations of a frame's stages, and counts."""
         tips = {name: AUTO_TIP if scale is None else RESOLUTION_TIP for name, scale in RESOLUTIONS.items()}
         stages = [(name, f"{median:.2f}", f"{worst:.2f}") for name, median, worst in self._stages]
         rows: list[Row] = [Choice("resolution", tips, self.resolution, partial(self._set, "resolution"))]

@@ -193,7 +193,8 @@ class AudioDevice:
         except ImportError as e:
             raise BadInput("no sound: the package miniaudio is not installed (pip install miniaudio)") from e
         real = [b for b in miniaudio.Backend if b is not miniaudio.Backend.NULL]
-        silence_alsa()
+        with contextlib.suppress(OSError, AttributeError):  # ALSA would print that there is no device
+            ctypes.CDLL("libasound.so.2").snd_lib_error_set_handler(SILENT)
         form = {"output_format": miniaudio.SampleFormat.FLOAT32, "nchannels": 2, "sample_rate": RATE}
         try:
             self._device = miniaudio.PlaybackDevice(**form, buffersize_msec=BUFFER, backends=list(backends or real))
@@ -206,12 +207,6 @@ class AudioDevice:
     def close(self) -> None:
         """Stop playing. Further calls do nothing."""
         self._device.close()
-
-
-def silence_alsa() -> None:
-    """Keep ALSA from printing that there is no device."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL("libasound.so.2").snd_lib_error_set_handler(SILENT)
 
 
 def blocks_of(mix: Callable[[int], np.ndarray]) -> Iterator[bytes]:
@@ -281,7 +276,7 @@ class Sound:
         world.sound = None if self._device is None else self._on
         passed, self._time = world.time - self._time, world.time
         if self._track is not None:
-            self._track.last(frame.time)
+            self._track.length = frame.time
         if frame.commands or passed <= 0.0:  # an edit moves bodies too; a reset sets time back
             self._impacts.forget()
             self._sounds.clear()
@@ -323,26 +318,22 @@ BLOCK = 4096  # samples mixed at once
 
 
 class SoundTrack:
-    """Collects sounds (`add`) and muxes them into a film (`write`).
+    """Collects sounds (`add`) and muxes them into a film (`write`), which is `length` [s] long.
 
     always  write a WAV beside the film if there is no ffmpeg
     """
 
     def __init__(self, film: Path, *, always: bool):
-        self.film, self._always, self._length = Path(film), always, 0.0
+        self.film, self._always, self.length = Path(film), always, 0.0
         self._sounds: list[tuple[float, np.ndarray, tuple[float, float]]] = []
 
     def add(self, time: float, sound: np.ndarray, gain: tuple[float, float]) -> None:
         """Start a sound at a time of the film [s]."""
         self._sounds.append((time, sound, gain))
 
-    def last(self, time: float) -> None:
-        """Note that the film reaches up to `time` [s]."""
-        self._length = time
-
     def samples(self) -> np.ndarray:
         """The whole track (N, 2) float32, as long as the film."""
-        mixer, count, blocks = Mixer(), round(self._length * RATE), []
+        mixer, count, blocks = Mixer(), round(self.length * RATE), []
         waiting = sorted(self._sounds, key=lambda s: s[0])
         for start in range(0, count, BLOCK):
             while waiting and waiting[0][0] * RATE < start + BLOCK:

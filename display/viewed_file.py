@@ -170,22 +170,22 @@ def middle_and_radius(gaussians: Gaussians) -> tuple[np.ndarray, float]:
     return middle, radius if radius > 0.0 else 3.0 * largest
 
 
-def eye_around(middle, radius: float, yaw: float, *, elevation: float = ELEVATION, aspect: float = 1.0) -> np.ndarray:
-    """Position of an eye that sees a whole ball of `radius` [m], `yaw` right of and `elevation` above it [rad]."""
+def view_around(
+    gaussians: Gaussians, aspect: float, yaw: float = 0.0, elevation: float = ELEVATION
+) -> tuple[np.ndarray, np.ndarray]:
+    """Eye and target (3,) [m] that show all Gaussians, from `yaw` right of and `elevation` above them [rad]."""
+    middle, radius = middle_and_radius(gaussians)
     narrow = np.arctan(np.tan(0.5 * FOV_Y) * min(aspect, 1.0))
     direction = np.array([np.sin(yaw) * np.cos(elevation), np.sin(elevation), np.cos(yaw) * np.cos(elevation)])
-    return np.asarray(middle) + DISTANCE_MARGIN * radius / np.sin(narrow) * direction
+    return middle + DISTANCE_MARGIN * radius / np.sin(narrow) * direction, middle
 
 
 def camera_around(gaussians: Gaussians, width: int, height: int, yaw: float, *, elevation: float = ELEVATION) -> Camera:
     """A camera that shows all Gaussians from `yaw` [rad]."""
-    middle, radius = middle_and_radius(gaussians)
-    eye = eye_around(middle, radius, yaw, elevation=elevation, aspect=width / height)
-    return perspective(width, height, FOV_Y, look_at(eye, middle))
+    return perspective(width, height, FOV_Y, look_at(*view_around(gaussians, width / height, yaw, elevation)))
 
 
 def scene_around(gaussians: Gaussians, aspect: float) -> Scene:
     """A scene without bodies: only where to look from."""
-    middle, radius = middle_and_radius(gaussians)
-    eye = eye_around(middle, radius, 0.0, aspect=aspect)
-    return Scene(bodies=[], light=None, eye=tuple(eye), target=tuple(middle), fov_y=FOV_Y, background=BACKGROUND)
+    eye, target = map(tuple, view_around(gaussians, aspect))
+    return Scene(bodies=[], light=None, eye=eye, target=target, fov_y=FOV_Y, background=BACKGROUND)

@@ -20,7 +20,7 @@ from display.picture import output_path, pixels_of, surface_point
 from display.protocol import Frame, Line, Notice, WorldView
 from display.timing import Timings
 from display.user_commands import in_order
-from display.viewed_file import BACKGROUND, FOV_Y, ViewedFile, eye_around, middle_and_radius
+from display.viewed_file import BACKGROUND, FOV_Y, ViewedFile, view_around
 from render import MOVING_SORT
 from scenes.scene import Scene
 
@@ -45,7 +45,6 @@ class SplatWorld(WorldView):
         self._draw_in_order(sort)
 
     def _draw_in_order(self, sort: str | None) -> None:
-        """Make the renderer, for an order of blending."""
         from render.renderer import Renderer
 
         self.renderer = Renderer(
@@ -215,7 +214,6 @@ class Viewer(SplatWorld):
         self.wanted_view = tuple(tuple((middle + factor * (p - middle)).tolist()) for p in (eye, target))
 
     def _rescale(self, factor: float) -> None:
-        """Show the file `factor` times as large. Raises BadInput."""
         if not SCALE_RANGE[0] <= factor * self.file.factor <= SCALE_RANGE[1]:
             raise BadInput("It cannot be made larger or smaller than that.")
         self._change(self.file.changed(np.eye(3), factor))
@@ -231,7 +229,6 @@ class Viewer(SplatWorld):
         self._files = [f.kept(turn, factor) if f.path == path else f for f in self._files]
 
     def _show(self, index: int) -> None:
-        """Show another file."""
         self._index = index
         self._upload()
         self.up_choices = self._choices()
@@ -258,29 +255,25 @@ class Viewer(SplatWorld):
         ups = alternatives(self.file.chances)
         if len(ups) < 2:
             return []
-        gaussians, size, found = self.file.gaussians, self.picture_size, []
-        middle, radius = middle_and_radius(gaussians)
+        size, found = self.picture_size, []
+        eye, middle = view_around(self.file.gaussians, CHOICE_SIZE[0] / CHOICE_SIZE[1], 0.5)
         self.renderer.resize(*CHOICE_SIZE)
         for up in ups:
             turn = np.eye(4)  # of the world, which is easier than to turn the Gaussians
             turn[:3, :3] = rotation_to_up(up) @ rotation_to_up(self.file.up).T
             turn[:3, 3] = middle - turn[:3, :3] @ middle
-            aspect = CHOICE_SIZE[0] / CHOICE_SIZE[1]
-            pose = look_at(eye_around(middle, radius, 0.5, aspect=aspect), middle) @ turn
-            self.renderer.render([perspective(*CHOICE_SIZE, FOV_Y, pose)])
+            self.renderer.render([perspective(*CHOICE_SIZE, FOV_Y, look_at(eye, middle) @ turn)])
             found.append((up, self.file.chances[up], pixels_of(self.renderer.picture)[: CHOICE_SIZE[1], :, :3].copy()))
         self.renderer.resize(*size)
         self._shown = None
         return found
 
     def _show_crop(self) -> None:
-        """Hide what lies outside the crop."""
         shown = self.file.shown
         self.splats.opacity.from_numpy(self.splats.padded(np.where(shown, self.file.gaussians.opacities, 0.0)))
         self.resize(*self.picture_size)
 
     def _write(self) -> None:
-        """Write what is shown of the file."""
         out = self._out or output_path(f"{self.file.path.stem}_cropped", ".ply")
         if out.exists() and self.file.path.exists() and out.samefile(self.file.path):
             raise BadInput(f"{out}: is the file itself; choose another name")

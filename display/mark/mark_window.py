@@ -117,7 +117,6 @@ class MarkWindow:
             self.line = " ".join(str(e).split())
 
     def _show(self) -> None:
-        """Draw picture, strokes and panel."""
         free, surface = self.subject.free, self._surface
         key = (self.subject.version, self.subject.view_shown(), free and free.orbit.view)
         if key != self._seen:
@@ -285,7 +284,6 @@ class MarkWindow:
             self._open = False
 
     def _escape(self) -> None:
-        """End the drag or the box; else leave."""
         if self._drag is not None:
             self._drag = None
         elif self.tool != "inside":

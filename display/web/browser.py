@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
 from collections.abc import Iterator
 from time import perf_counter, sleep
 
@@ -170,7 +169,7 @@ class Browser(Display):
 
     def _listen_to_signals(self) -> None:
         """End the frames on Ctrl-C or SIGTERM, so that all files are finished; a second one ends at once."""
-        if self._handlers or threading.current_thread() is not threading.main_thread():  # which alone may listen
+        if self._handlers:
             return
 
         def end(*_) -> None:
@@ -206,7 +205,6 @@ class Browser(Display):
             self._server.tell(world_state(world, self._panel) | own)
 
     def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
-        """Pass the player's messages to the controls; returns the commands of keys and panel."""
         controls, commands = self._controls, []
         for kind, *what in events:
             if kind == "move":
@@ -236,9 +234,7 @@ class Browser(Display):
             elif kind == "open":
                 commands += filter(None, [scene_request(*what)])
         controls.note(commands)
-        commands += controls.place_light(world)
-        controls.follow(world)
-        return controls.completed(commands, self._full)
+        return controls.completed(commands, self._full, world)
 
     def _move(self, u: float, v: float) -> None:
         """Move the cursor to (u, v), in fractions of the picture."""
@@ -254,7 +250,6 @@ class Browser(Display):
         controls.wheel(notches)
 
     def _key(self, code: str, printed: str, down: bool, ctrl: bool, world: WorldView) -> list[Command]:
-        """Pass a key on to the controls; returns its commands."""
         name = pressed_key(code, printed, down=down, ctrl=ctrl)
         binding = BY_CHORD.get(name)
         if name is None or (binding is not None and binding.action in WINDOW_ONLY and name != "escape"):

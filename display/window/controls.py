@@ -193,17 +193,16 @@ class Controls:
         if any(isinstance(command, ENDING_DRAGS) for command in commands):
             self._drop()
 
-    def completed(self, commands: Iterable[Command], size: tuple[int, int]) -> list[Command]:
-        """The commands, with the size [px] of the whole picture and the view where they ask for these."""
-        sized = [replace(c, size=size) if isinstance(c, PictureCommand) else c for c in commands]
-        return [replace(c, view=self.orbit.view) if isinstance(c, SaveState) else c for c in sized]
-
-    def follow(self, world: WorldView) -> None:
-        """Go to the view of a state that was loaded."""
+    def completed(self, commands: Iterable[Command], size: tuple[int, int], world: WorldView) -> list[Command]:
+        """The commands of a frame: with that of the light which follows the cursor, and with the size [px] of the whole
+        picture and the view where they ask for these. Goes to the view of a state that was loaded."""
         if world.wanted_view is not self._followed:
             self._followed = world.wanted_view
             if self._followed is not None:
                 self.orbit.look_from(*self._followed)
+        sized = [replace(c, size=size) if isinstance(c, PictureCommand) else c for c in commands]
+        sized = [replace(c, view=self.orbit.view) if isinstance(c, SaveState) else c for c in sized]
+        return sized + self.place_light(world)
 
     # the actions of key_bindings.py that concern the window alone, or the camera: of the key's name and the world
 

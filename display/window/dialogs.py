@@ -19,17 +19,7 @@ from display.panel import chosen_by_list, demos, line_of, picture_file, spoken
 from display.preferences import PathText, Preferences
 from display.protocol import WorldView
 from display.user_commands import AddBody, Command, LoadState, Measure, OpenScene, SwapRoom, TurnUp
-from display.window.widgets import (
-    ACCENT,
-    FIXED,
-    MARGIN,
-    QUIET,
-    button_grid,
-    heading,
-    paragraph,
-    pixels,
-    place_window,
-)
+from display.window.widgets import ACCENT, FIXED, MARGIN, QUIET, button_grid, heading, paragraph, pixels, place_window
 from scenes.registry import Demo
 
 FILE_WIDTH, LENGTH_WIDTH = 460.0, 300.0  # [px] of the dialogs for files, for a length
@@ -251,7 +241,6 @@ class SceneMenu:
         return commands
 
     def _cell(self, demo: Demo) -> list[Command]:
-        """Draw a scene: its picture, which is a button, name, summary and options."""
         request = OpenScene(demo.name, dict(self._options.get(demo.name, {})))
         size, begin = tuple(map(pixels, SCENE_PICTURE)), imgui.get_cursor_pos()
         imgui.push_id(demo.name)

@@ -102,7 +102,6 @@ class PanelDrawer:
             imgui.set_item_tooltip(f"{file} is {role}")
 
     def _section(self, section: Section) -> list[Command]:
-        """Draw a section under its header, if it is open; its commands."""
         title = section.title
         if not section.plain:
             label = shortened(section.label or title, width_of(1) - pixels(40))
@@ -122,7 +121,6 @@ class PanelDrawer:
         return commands
 
     def _row(self, title: str, row) -> list[Command]:
-        """Draw a row of the section of that title; its commands."""
         match row:
             case Slider():
                 return draw_slider(row, self._changed)

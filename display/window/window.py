@@ -144,7 +144,6 @@ class Window(Display):
             self._resolution.note(now, seconds, drawing, moving=self._busy)
             self._resize(now, world)
             commands = self._handle(events, world)
-            controls.follow(world)
             hands = controls.hands(dt, commands, world)
             self._time += dt
             self._moved = controls.update_camera(fit(world.picture_size, self._surface.frame_size)[2:])
@@ -204,7 +203,6 @@ class Window(Display):
             world.resize(*self.size)
 
     def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
-        """Hand the events to the controls, but not those that belong to the panel."""
         io, controls = imgui.get_io(), self._controls
         listing = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)  # a list that is open has the keys
         commands, self._commands = self._commands, []
@@ -229,8 +227,7 @@ class Window(Display):
                 commands.append(ViewFiles(tuple(*what)))
             elif kind == "blur":
                 controls.let_go()
-        commands += controls.place_light(world)
-        return controls.completed(commands, self._surface.frame_size)
+        return controls.completed(commands, self._surface.frame_size, world)
 
     @property
     def _area(self) -> tuple[int, int, int, int]:
@@ -239,12 +236,10 @@ class Window(Display):
         return fit((camera.width, camera.height), self._surface.window_size)
 
     def _to_picture(self, x: float, y: float) -> tuple[float, float]:
-        """Picture pixels of a position in screen coordinates."""
         left, top, width, height = self._area
         return (x - left) / width * self._controls.camera.width, (y - top) / height * self._controls.camera.height
 
     def _from_picture(self, at: tuple[float, float]) -> tuple[float, float]:
-        """Screen coordinates of picture pixels."""
         left, top, width, height = self._area
         return left + at[0] / self._controls.camera.width * width, top + at[1] / self._controls.camera.height * height
 
@@ -273,7 +268,6 @@ class Window(Display):
             self._draw_marker(under, HOVER_OPACITY)
 
     def _draw_marker(self, body: BodyState, strength: float = 1.0) -> None:
-        """Draw corners around a body; those behind it are fainter."""
         draw_list, scale = imgui.get_background_draw_list(), self._surface.scale
         for start, end, opacity in marker_lines(body, self._controls.camera):
             a, b, opacity = self._from_picture(start), self._from_picture(end), strength * opacity
@@ -292,7 +286,6 @@ class Window(Display):
         draw_list.add_text((left, middle - 0.5 * extent.y), imgui.get_color_u32((1.0, 1.0, 1.0, 1.0)), text)
 
     def _draw_hand(self) -> None:
-        """Draw a ring around the gripped point, and the hand for a cursor."""
         at = project(self._controls.camera, self._controls.hand.position)
         if at is None:
             return

@@ -213,7 +213,7 @@ def test_without_ffmpeg_a_wav_lies_beside_the_film_if_sound_was_asked_for(tmp_pa
     for always in (False, True):
         track = SoundTrack(film, always=always)
         track.add(0.1, np.full(100, 0.3, np.float32), (1.0, 1.0))
-        track.last(0.2)
+        track.length = 0.2
         track.write()
         assert (tmp_path / "ball.wav").exists() == always
     assert capsys.readouterr().err.count("ball.wav: the sound of ball.mp4") == 1
@@ -222,7 +222,7 @@ def test_without_ffmpeg_a_wav_lies_beside_the_film_if_sound_was_asked_for(tmp_pa
 def test_a_reset_and_an_edit_are_silent():
     world = Bouncing()
     with Sound(film=None, heard=False, asked=False, preferences=Preferences()) as sound:
-        sound._track = N(add=lambda *what: pytest.fail("heard"), last=lambda time: None, write=lambda: None)
+        sound._track = N(add=lambda *what: pytest.fail("heard"), write=lambda: None)
         for _, frame in world.frames():
             sound.after(replace(frame, commands=[Reset()]), world)
 

@@ -49,7 +49,6 @@ class ViewedFile:
 
     chances the probability of each axis that may point up, from the guess; {}: the user has said
     turn, factor   rotation (3, 3) and scale since the file was read or kept
-    bounds  the box of all their means
     crop    what lies outside is left out; None: nothing is
     """
 
@@ -57,7 +56,6 @@ class ViewedFile:
     gaussians: Gaussians
     up: str
     note: str
-    bounds: Box
     crop: Box | None = None
     chances: dict[str, float] = field(default_factory=dict)
     turn: np.ndarray = field(default_factory=lambda: np.eye(3))
@@ -74,14 +72,20 @@ class ViewedFile:
             chances = up_probabilities(gaussians)
         up = max(chances, key=chances.get) if chances else up or "+y"
         note = f"{up} is up"
-        if len(chances) > 1:
+        if chances:
             others = ", ".join(f"{other} {chances[other]:.0%}" for other in alternatives(chances)[1:])
             note += f" (guessed, {chances[up]:.0%} sure{f'; else {others}' if others else ''}; --up overrides)"
         turn = rotation_to_up(up)
         if up != "+y":
             gaussians = gaussians.transformed(turn, (0.0, 0.0, 0.0), 1.0)
         gaussians = gaussians.select(morton_order(gaussians.means))
-        return cls(Path(path), gaussians, up, note, bounds_of(gaussians), chances=chances, turn=turn)
+        return cls(Path(path), gaussians, up, note, chances=chances, turn=turn)
+
+    @cached_property
+    def bounds(self) -> Box:
+        """The box of all means."""
+        means = self.gaussians.means
+        return Box(means.min(0).astype(np.float64), means.max(0).astype(np.float64))
 
     @property
     def size(self) -> float:
@@ -94,14 +98,11 @@ class ViewedFile:
         everything = np.ones(len(self.gaussians), bool)
         return everything if self.crop is None else self.crop.holds(self.gaussians.means)
 
-    @property
-    def order(self) -> list[str]:
-        """The axes in the order in which they are tried: the most probable first."""
-        return sorted(UP_AXES, key=lambda up: -self.chances.get(up, 0.0))
-
     def turned(self, up: str = "") -> ViewedFile:
-        """An axis of the file points up, "": the next one. Raises BadInput."""
-        up = up or self.order[(self.order.index(self.up) + 1) % len(self.order)]
+        """An axis of the file points up, "": the next one, the most probable first. Raises BadInput."""
+        if not up:
+            order = sorted(UP_AXES, key=lambda axis: -self.chances.get(axis, 0.0))
+            up = order[(order.index(self.up) + 1) % len(order)]
         found = self.changed(rotation_to_up(up) @ rotation_to_up(self.up).T)
         return replace(found, up=up, note=f"{up} is up")
 
@@ -109,8 +110,7 @@ class ViewedFile:
         """Turned and scaled about the middle of its bounds; nothing is cropped."""
         middle = 0.5 * (self.bounds.low + self.bounds.high)
         gaussians = self.gaussians.transformed(rotation, middle - factor * rotation @ middle, factor)
-        turn, factor = rotation @ self.turn, factor * self.factor
-        return replace(self, gaussians=gaussians, bounds=bounds_of(gaussians), crop=None, turn=turn, factor=factor)
+        return replace(self, gaussians=gaussians, crop=None, turn=rotation @ self.turn, factor=factor * self.factor)
 
     def kept(self, turn: np.ndarray, factor: float) -> ViewedFile:
         """The same after the file has been turned and scaled by that much."""
@@ -148,12 +148,6 @@ class ViewedFile:
         if self.crop is not None:
             facts.insert(1, ("within the crop", f"{int(self.shown.sum()):,}"))
         return facts
-
-
-def bounds_of(gaussians: Gaussians) -> Box:
-    """The box of the Gaussians' means."""
-    means = gaussians.means.astype(np.float64)
-    return Box(means.min(0), means.max(0))
 
 
 # Views to start from

@@ -6,6 +6,7 @@ import itertools
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -72,6 +73,7 @@ class MarkWindow:
 
     def __init__(self, subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]):
         self.subject, self.edit = subject, edit
+        self._undo, self._redo = partial(self._step, edit.undo), partial(self._step, edit.redo)
         self.tool, self.line = "inside", ""  # what the left button draws; what is said at the panel's foot
         self._surface = GLWindow(title, *size)
         apply_theme(self._surface.scale)
@@ -81,10 +83,8 @@ class MarkWindow:
         self._drag: str | None = None  # "inside", "outside", "boxes" or "turn"
         self._points: list[tuple[float, float]] = []
         self._held: set[str] = set()
-        self._leaving = False
-        self._selected = MarkState()
-        self._result: MarkState | None = None
-        self._open = True
+        self._selected, self._result = MarkState(), None
+        self._open, self._leaving = True, False
 
     def run(self) -> MarkState | None:
         """Let the user mark."""
@@ -216,8 +216,8 @@ class MarkWindow:
         if name != "escape":
             self._leaving = False
         actions = {
-            "ctrl+z": self.undo,
-            "ctrl+y": self.redo,
+            "ctrl+z": self._undo,
+            "ctrl+y": self._redo,
             "n": self.edit.new_object,
             "delete": self.edit.delete,
             "tab": lambda: self.turn_page(-1 if "shift" in self._held else 1),
@@ -250,15 +250,8 @@ class MarkWindow:
         self._placed.whole()
         self.subject.go_to(view)
 
-    def undo(self) -> None:
-        """Undo the last step, and show the photograph that it changed."""
-        self._step(self.edit.undo)
-
-    def redo(self) -> None:
-        """Redo the step that was undone last."""
-        self._step(self.edit.redo)
-
     def _step(self, act: Callable[[], None]) -> None:
+        """Undo or redo, and show the photograph that this changed."""
         before = set(self.edit.state.marks)
         act()
         changed = {m.view for m in before ^ set(self.edit.state.marks)}
@@ -335,7 +328,7 @@ class MarkWindow:
             if imgui.selectable(f"{k + 1}  {name}   {f'in {views}' if views else 'no marks'}##{k}", False)[0]:
                 edit.choose(k)
         imgui.end_child()
-        draw_buttons({"New": edit.new_object, "Delete": edit.delete, "Undo": self.undo, "Redo": self.redo})
+        draw_buttons({"New": edit.new_object, "Delete": edit.delete, "Undo": self._undo, "Redo": self._redo})
 
     def _draw_name(self, name: str) -> None:
         """The name of the current object, editable."""

@@ -90,7 +90,8 @@ def test_a_viewed_asset_is_turned_scaled_and_kept(ti_cpu, tmp_path):
     with pytest.raises(BadInput, match="O writes"):
         viewer._show(1)
         frame_writer(viewer, None)
-    assert [up for up, _, _ in viewer.up_choices] == viewer.file.order[: len(viewer.up_choices)]
+    chances = [chance for _, chance, _ in viewer.up_choices]
+    assert chances == sorted(viewer.file.chances.values(), reverse=True)[: len(chances)]
     assert len(viewer.up_choices) > 1, "a random cloud has no up"
     assert viewer.up_choices[0][2].shape == (140, 168, 3)
     assert not np.array_equal(viewer.up_choices[0][2], viewer.up_choices[1][2])

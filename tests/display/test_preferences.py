@@ -33,12 +33,6 @@ def test_what_is_set_is_there_at_the_next_start(path):
     assert again.get("light.sandbox", Light) is None and "light.sandbox" not in json.loads(path.read_text())
 
 
-def test_without_a_path_values_last_as_long_as_the_program():
-    preferences = Preferences()
-    preferences.set("sound", False)
-    assert preferences.get("sound", bool, True) is False and Preferences().get("sound", bool, True) is True
-
-
 @pytest.mark.parametrize("value", ["x", [1], [1, True], [1, None], [1, float("nan")], [1, 10**400], {"0": 1}, 3, None])
 def test_values_of_another_type_count_as_absent(path, value):
     path.parent.mkdir()
@@ -73,20 +67,17 @@ def test_a_damaged_file_is_set_aside_and_told_once(path, text, capsys):
     assert aside.read_text(encoding="latin-1") == text and path.with_name("preferences.broken_2.json").exists()
 
 
-def test_a_place_that_cannot_be_written_is_told_once_and_the_play_goes_on(tmp_path, capsys):
-    (tmp_path / "file").write_text("in the way")
-    preferences = Preferences(tmp_path / "file" / "preferences.json")
-    preferences.set("sound", False)
-    preferences.set("panel.open", False)
-    assert preferences.get("sound", bool, True) is False
-    assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_a_file_that_cannot_be_read_is_not_written_over(path, capsys):
-    path.mkdir(parents=True)
+@pytest.mark.parametrize("obstacle", ["a file for a folder", "a folder for a file"])
+def test_a_place_that_cannot_be_used_is_told_once_and_the_play_goes_on(path, obstacle, capsys):
+    if obstacle == "a file for a folder":
+        path.parent.write_text("in the way")
+    else:
+        path.mkdir(parents=True)
     preferences = Preferences(path)
     preferences.set("sound", False)
-    assert path.is_dir() and capsys.readouterr().err.count("\n") == 1
+    preferences.set("panel.open", False)
+    assert preferences.get("sound", bool, True) is False and not path.is_file()
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_the_lock_of_a_killed_program_does_not_hold_up_the_play(path, monkeypatch):

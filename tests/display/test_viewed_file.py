@@ -14,7 +14,7 @@ from core.errors import BadInput
 from display import user_commands
 from display.panel import Slider, crop_section
 from display.protocol import Frame, Line
-from display.viewed_file import UP_AXES, ViewedFile, bounds_of, scene_around
+from display.viewed_file import UP_AXES, ViewedFile, scene_around
 from display.viewer import BACKGROUNDS, Viewer
 from display.window.overlay import visible_part
 
@@ -38,7 +38,7 @@ def file(tmp_path) -> ViewedFile:
 
 def test_turning_goes_through_all_axes_about_the_middle(file):
     moved = replace(file, gaussians=file.gaussians.transformed(np.eye(3), (5.0, 0.0, 0.0)))
-    extents, turned = [], ViewedFile(moved.path, moved.gaussians, "+y", "", bounds_of(moved.gaussians))
+    extents, turned = [], ViewedFile(moved.path, moved.gaussians, "+y", "")
     first = turned.gaussians.means
     for k in range(6):
         assert turned.up == UP_AXES[k]

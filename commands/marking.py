@@ -13,7 +13,6 @@ from assets.gaussians import Gaussians
 from assets.orientation import guess_up_axis, rotation_to_up
 from core.errors import BadInput
 from display.mark.mark_edit import Mark, MarkEdit, MarkState
-from display.mark.mark_window import FreeView
 from display.window.mouse import OrbitCamera
 from prepare.segment.marks import Marks, SplatMarks, ViewMarks, drawn_boxes, drawn_strokes
 from prepare.segment.mask_files import check_name, object_colors, overlay
@@ -62,6 +61,7 @@ class SplatSubject:
     size, version = PICTURE_SIZE, 0
 
     def __init__(self, gaussians: Gaussians, marks: SplatMarks):
+        from display.mark.mark_window import FreeView
         from display.viewed_file import FOV_Y, view_around
         from prepare.segment.splat_segmentation import LiveSelection
 

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import get_args, get_type_hints
@@ -26,6 +27,7 @@ from display.user_commands import EDITS, MIN_TIME_SCALE, Command, Export, Film, 
 from scenes import registry
 from scenes.registry import Demo, SceneOption
 
+ACCENT, QUIET = (0.98, 0.66, 0.24, 1.0), (0.66, 0.69, 0.74, 1.0)  # colours of ImGui's theme and of the wrist panel
 READ_INTERVAL = 0.5  # [s] between two readings of the timings: faster ones cannot be read
 RESOLUTIONS = {"Auto": None, "Full": 1.0, "3/4": 0.75, "1/2": 0.5}  # scale of a side of the picture
 RESOLUTION_TIP = "Size of the drawn picture, on each side: fewer pixels are faster."
@@ -388,6 +390,11 @@ def crop_section(world: WorldView) -> Section:
         Button("Write", [user_commands.WriteSplats()], "What is left, as a splat file of its own (O)."),
     ]
     return Section("Crop", [*rows, ButtonGrid(buttons, columns=2)])
+
+
+def font_file() -> Path:
+    """Roboto, which comes with ImGui."""
+    return Path(find_spec("imgui_bundle").origin).parent / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
 
 
 def readable(value: float) -> float:

@@ -6,18 +6,24 @@ import ctypes
 import os
 import sys
 
-from imgui_bundle import imgui  # isort: skip  # first: it names the GLFW library that both then use
-import glfw  # isort: skip
-
 from core.errors import BadInput
 from display.window.gl_context import HEADLESS_INSTEAD, NO_DISPLAY, context_of
 from display.window.key_bindings import PLACES, chord_name
+
+
+def import_libraries():
+    """GLFW and ImGui, which names the GLFW library that both then use; servers may lack what they need."""
+    from imgui_bundle import imgui
+    import glfw  # isort: skip
+
+    return glfw, imgui
 
 
 def has_display() -> bool:
     """True if this process can open a window."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return False
+    glfw, _ = import_libraries()
     glfw.set_error_callback(lambda code, text: None)  # the answer says enough
     if sys.platform.startswith("linux") and os.environ.get("DISPLAY"):
         glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_X11)  # also under Wayland: it draws no frame without libdecor
@@ -34,6 +40,7 @@ class GLWindow:
     def __init__(self, title: str, width: int, height: int, *, vsync: bool = True):
         if not has_display():
             raise BadInput(f"{NO_DISPLAY}; {HEADLESS_INSTEAD}")
+        self.glfw, self.imgui = glfw, _ = import_libraries()
         errors: list[str] = []
         glfw.set_error_callback(lambda code, text: errors.append(text.decode(errors="replace")))
         for hint, value in {
@@ -58,7 +65,7 @@ class GLWindow:
 
     def _listen(self) -> None:
         """Queue the events: they are handled in order, once a frame, when ImGui knows what the cursor is over."""
-        add = self._events.append
+        glfw, add = self.glfw, self._events.append
         buttons = {glfw.MOUSE_BUTTON_LEFT: "left", glfw.MOUSE_BUTTON_RIGHT: "right", glfw.MOUSE_BUTTON_MIDDLE: "middle"}
         keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in PLACES}
         keys |= {glfw.KEY_LEFT_SHIFT: "shift", glfw.KEY_RIGHT_SHIFT: "shift"}
@@ -97,91 +104,91 @@ class GLWindow:
 
     def _start_imgui(self) -> float:
         """Start ImGui; its callbacks call ours in turn. Returns the scale of text and widgets, 1 as usual."""
-        imgui.create_context()
-        imgui.get_io().set_ini_filename("")  # no settings file in the working directory
-        imgui.backends.glfw_init_for_opengl(ctypes.cast(self.handle, ctypes.c_void_p).value, True)
-        imgui.backends.opengl3_init("#version 330")
+        self.imgui.create_context()
+        self.imgui.get_io().set_ini_filename("")  # no settings file in the working directory
+        self.imgui.backends.glfw_init_for_opengl(ctypes.cast(self.handle, ctypes.c_void_p).value, True)
+        self.imgui.backends.opengl3_init("#version 330")
         pixels = self.frame_size[0] / max(self.window_size[0], 1)  # 2 on a Retina screen, else 1
-        return glfw.get_window_content_scale(self.handle)[0] / pixels
+        return self.glfw.get_window_content_scale(self.handle)[0] / pixels
 
     @property
     def frame_size(self) -> tuple[int, int]:
         """(width, height) of the framebuffer [px]; (0, 0) while minimised on some systems."""
-        return glfw.get_framebuffer_size(self.handle)
+        return self.glfw.get_framebuffer_size(self.handle)
 
     @property
     def window_size(self) -> tuple[int, int]:
         """(width, height) in screen coordinates."""
-        return glfw.get_window_size(self.handle)
+        return self.glfw.get_window_size(self.handle)
 
     def set_title(self, title: str) -> None:
         """Show another title."""
-        glfw.set_window_title(self.handle, title)
+        self.glfw.set_window_title(self.handle, title)
 
     @property
     def closing(self) -> bool:
         """True once the user has asked to close the window."""
-        return bool(glfw.window_should_close(self.handle))
+        return bool(self.glfw.window_should_close(self.handle))
 
     def stay(self) -> None:
         """Ignore the user's request to close the window."""
-        glfw.set_window_should_close(self.handle, False)
+        self.glfw.set_window_should_close(self.handle, False)
 
     def geometry(self) -> dict:
         """Placement for `restore`: "size" and "place" in screen coordinates, or "maximized" alone."""
-        if glfw.get_window_attrib(self.handle, glfw.MAXIMIZED):
+        if self.glfw.get_window_attrib(self.handle, self.glfw.MAXIMIZED):
             return {"maximized": True}
-        return {"size": [*self.window_size], "place": [*glfw.get_window_pos(self.handle)], "maximized": False}
+        return {"size": [*self.window_size], "place": [*self.glfw.get_window_pos(self.handle)], "maximized": False}
 
     def restore(self, size, place, maximized: bool) -> None:
         """Give the window the size, place (None: as it is) and state that it had, as far as a screen shows them."""
-        areas = [glfw.get_monitor_workarea(monitor) for monitor in glfw.get_monitors()]
+        areas = [self.glfw.get_monitor_workarea(monitor) for monitor in self.glfw.get_monitors()]
         width = (size or self.window_size)[0]
         shown = place and [a for a in areas if covers(a, place[0] + width / 2, place[1])]
         if size is not None and areas:
             _, _, wide, high = (shown or areas)[0]
-            glfw.set_window_size(self.handle, min(int(size[0]), wide), min(int(size[1]), high))
+            self.glfw.set_window_size(self.handle, min(int(size[0]), wide), min(int(size[1]), high))
         if shown:
-            glfw.set_window_pos(self.handle, int(place[0]), int(place[1]))
+            self.glfw.set_window_pos(self.handle, int(place[0]), int(place[1]))
         if maximized:
-            glfw.maximize_window(self.handle)
+            self.glfw.maximize_window(self.handle)
 
     def asleep(self) -> bool:
         """True while the window is minimised; waits briefly in that case."""
-        if glfw.get_window_attrib(self.handle, glfw.ICONIFIED) or 0 in self.frame_size:
-            glfw.wait_events_timeout(0.1)
+        if self.glfw.get_window_attrib(self.handle, self.glfw.ICONIFIED) or 0 in self.frame_size:
+            self.glfw.wait_events_timeout(0.1)
             return True
         return False
 
     def begin(self) -> list[tuple]:
         """Begin a frame: the events since the last one. ImGui calls are allowed until `end`."""
-        glfw.poll_events()
+        self.glfw.poll_events()
         events = self._events.copy()
         self._events.clear()
-        imgui.backends.opengl3_new_frame()
-        imgui.backends.glfw_new_frame()
-        imgui.new_frame()
+        self.imgui.backends.opengl3_new_frame()
+        self.imgui.backends.glfw_new_frame()
+        self.imgui.new_frame()
         return events
 
     def end(self) -> None:
         """Draw ImGui's part over what was drawn. `swap` shows it."""
-        imgui.render()
-        imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
+        self.imgui.render()
+        self.imgui.backends.opengl3_render_draw_data(self.imgui.get_draw_data())
 
     def swap(self) -> None:
         """Show the frame; waits for the screen with vsync."""
-        glfw.swap_buffers(self.handle)
+        self.glfw.swap_buffers(self.handle)
 
     def close(self) -> None:
         """Close the window. Further calls do nothing."""
         if self.handle is None:
             return
-        imgui.backends.opengl3_shutdown()
-        imgui.backends.glfw_shutdown()
-        imgui.destroy_context()
+        self.imgui.backends.opengl3_shutdown()
+        self.imgui.backends.glfw_shutdown()
+        self.imgui.destroy_context()
         self.gl.release()
-        glfw.destroy_window(self.handle)
-        glfw.terminate()
+        self.glfw.destroy_window(self.handle)
+        self.glfw.terminate()
         self.handle = None
 
 

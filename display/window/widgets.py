@@ -7,19 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 
-import imgui_bundle
 from imgui_bundle import imgui
 
-from display.panel import Slider, readable
+from display.panel import ACCENT, QUIET, Slider, font_file, readable
 from display.user_commands import Command
 
-ACCENT = (0.98, 0.66, 0.24, 1.0)
 ON_ACCENT = (0.08, 0.08, 0.08, 1.0)
 FILMING = (0.93, 0.16, 0.14, 1.0)
 TEXT = (0.93, 0.94, 0.96, 1.0)
-QUIET = (0.66, 0.69, 0.74, 1.0)
 TEXT_SIZE = 15.0  # [px] at a display scale of 1
 TITLE_SIZE = 20.0
 MARGIN = 12.0  # [px] from the window's edge
@@ -34,11 +30,6 @@ FIXED = (
     | imgui.WindowFlags_.no_saved_settings
 )
 RESET_TIP = "Ctrl+click types a value, a right click brings the usual one back."
-
-
-def font_file() -> Path:
-    """Roboto, which comes with ImGui."""
-    return Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
 
 
 def apply_theme(scale: float) -> None:

@@ -21,7 +21,6 @@ from display.protocol import Display, Frame, WorldView
 from display.user_commands import Command
 from display.window.gl_context import EglContext, PictureTexture
 from display.window.gl_window import GLWindow, has_display
-from display.window.panel_drawer import PanelDrawer
 from display.xr import avatar
 from display.xr.openxr_runtime import (
     HEADSET_TIMEOUT,
@@ -55,7 +54,11 @@ class Mirror:
         self.egl = None if shown else EglContext()
         self.gl = (self._surface or self.egl).gl
         self.texture = PictureTexture(self.gl, views=views)
-        self._panel = PanelDrawer(title, self._surface.scale, Panel()) if shown else None
+        self._panel = None
+        if shown:
+            from display.window.panel_drawer import PanelDrawer  # ImGui needs libraries that servers may lack
+
+            self._panel = PanelDrawer(title, self._surface.scale, Panel())
 
     @property
     def closing(self) -> bool:

@@ -17,13 +17,16 @@ import numpy as np
 
 from display import user_commands
 from display.panel import (
+    ACCENT,
     EDIT_BUTTONS,
+    QUIET,
     Button,
     Choice,
     Panel,
     buttons_of,
     called,
     demos,
+    font_file,
     play_section,
     score_and_message,
     spoken,
@@ -31,7 +34,6 @@ from display.panel import (
 )
 from display.protocol import WorldView
 from display.user_commands import Command
-from display.window.widgets import ACCENT, QUIET, font_file
 from display.xr.actions import PRESS_ABOVE, RELEASE_BELOW, Controller
 from display.xr.hand_joints import INDEX_TIP, PALM
 from display.xr.poses import pose_matrix, position_rotation

@@ -151,11 +151,12 @@ def test_a_line_of_progress_is_renewed_on_a_terminal_and_rare_in_a_file(tty, cou
     assert text.count("frame") == count and text.endswith("\r\033[K" if tty else "frame 10\n")
 
 
-def test_displays_without_a_screen_import_nothing_heavy_until_they_open():
+def test_what_needs_no_screen_imports_nothing_heavy_before_it_opens():
     """`python vrgs.py --headless` must run where there is no OpenGL."""
     heavy = ["glfw", "moderngl", "imgui_bundle", "cv2", "taichi"]
     code = (
-        f"import sys, display.web.browser, display.headless.headless; print([m for m in {heavy} if m in sys.modules])"
+        "import sys, display.web.browser, display.headless.headless, display.window.gl_window\n"
+        f"print([m for m in {heavy} if m in sys.modules])"
     )
     root = Path(__file__).resolve().parents[2]
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)

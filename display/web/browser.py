@@ -65,9 +65,9 @@ class Browser(Display):
         self._dropped = 0.0  # [s] that have passed and were never simulated
         self._waited = 0.0  # [s] in this frame for a page to take a picture
         self._busy = True  # something moves, or may
-        self._quit = self._started = False
+        self._started = False
         self._handlers: dict = {}  # of signals, before ours
-        self._asked: float | None = None  # [s] when a signal asked for the end
+        self._asked: float | None = None  # [s] when a signal asked for the end; None: not yet
         self._time = 0.0  # [s] of all frames
         self._picture, self._shown = 0, None  # number of the picture, and which one of which world it is
         self._start: np.ndarray | None = None  # pixels of the first picture, while the world is made
@@ -115,8 +115,8 @@ class Browser(Display):
             self._server.show(self._picture, [], lambda: self._start, still=True)
         self._server.tell({"loading": text})
         escapes = [event for event in self._server.take() if event[:2] == ("key", "Escape") and event[3]]
-        if self._quit or (self._started and escapes):
-            raise Cancelled(quits=self._quit)
+        if self._asked is not None or (self._started and escapes):
+            raise Cancelled(quits=self._asked is not None)
 
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
@@ -131,7 +131,7 @@ class Browser(Display):
         """
         last, self._start, self._started = perf_counter(), None, True
         self._listen_to_signals()
-        while not self._quit:
+        while self._asked is None:
             if not self._server.watched:
                 self._controls.let_go()
                 world.timings.rest()
@@ -176,7 +176,6 @@ class Browser(Display):
             self._asked = self._asked or perf_counter()
             if perf_counter() - self._asked > ONE_INTERRUPT:
                 raise KeyboardInterrupt
-            self._quit = True
 
         self._handlers = {kind: signal.signal(kind, end) for kind in (signal.SIGINT, signal.SIGTERM)}
 

@@ -205,14 +205,10 @@ const LEFT_ALONE = ["F5", "F11", "Tab"];  // the browser's own
 function key(event, down) {
   const writing = /^(SELECT|TEXTAREA)$/.test(event.target.tagName);
   const ctrl = event.ctrlKey || event.metaKey;
-  if (event.code === "F1") {
+  const own = { F1: togglePanel, F2: openScenes }[event.code];
+  if (own) {
     event.preventDefault();
-    if (down && !event.repeat) togglePanel();
-    return;
-  }
-  if (event.code === "F2") {
-    event.preventDefault();
-    if (down && !event.repeat) openScenes();
+    if (down && !event.repeat) own();
     return;
   }
   if (get("menu-of-scenes").open) return;

@@ -59,8 +59,7 @@ class OpenDialog:
     """
 
     def __init__(self, preferences: Preferences):
-        self._preferences = preferences
-        self.shown = self._focus = False
+        self._preferences, self.shown = preferences, False
         self._typed, self._problem = "", ""
         self._asked: list[Path] = []  # files that may be either
         self._commands: list[Command] = []
@@ -72,7 +71,7 @@ class OpenDialog:
         if not sys.platform.startswith("linux") or any(map(shutil.which, LINUX_DIALOGS)):
             self._system = system_dialogs.open_file(TITLE, folder, FILTERS)
         else:
-            self.shown, self._focus, self._problem = True, True, ""
+            self.shown, self._problem = True, ""
             self._typed = self._typed or os.path.join(folder, "")
 
     def offer(self, paths: Iterable[str]) -> None:
@@ -131,7 +130,7 @@ class OpenDialog:
 
     def _draw_field(self) -> None:
         imgui.text_colored(QUIET, "Drop a splat, a mesh or an asset here, or type its path.")
-        focus, self._focus = self._focus or imgui.is_window_appearing(), False
+        focus = imgui.is_window_appearing()
         self._typed, entered, cancelled = text_field("path", self._typed, focus=focus, enter="Open")
         if cancelled:
             self.close()

@@ -88,14 +88,6 @@ def lines_of(world: WorldView) -> list[TextLine]:
     return [kept for line in lines if (kept := [(text, colour) for text, colour in line if text])]
 
 
-def hints(world: WorldView) -> list[tuple[str, str]]:
-    """(what to do, what it does): three things with which everything can be found out."""
-    if not world.editable:
-        return [("drag", "to turn"), ("wheel", "to zoom"), ("F1", "panel")]
-    watch = [] if world.scene.game is None else [("P", "demonstration")]
-    return [("drag", "to grab"), ("F1", "panel"), *watch]
-
-
 class FirstHint:
     """The hint over the first picture: it stays until the user has begun, `done`, and then fades."""
 
@@ -109,8 +101,13 @@ class FirstHint:
         opacity = 1.0 if self._faded is None else (self._faded - monotonic()) / FADE_TIME
         if opacity <= 0.0:
             return
+        hints = [("drag", "to grab"), ("F1", "panel")]
+        if not world.editable:
+            hints = [("drag", "to turn"), ("wheel", "to zoom"), ("F1", "panel")]
+        elif world.scene.game is not None:
+            hints.append(("P", "demonstration"))
         line: TextLine = []
-        for what, does in hints(world):
+        for what, does in hints:
             line += [(" \u00b7 ", QUIET)] if line else []
             line += [(what, ACCENT), (does, TEXT)]
         factor = min(max(imgui.get_io().display_size.y / pixels(FULL_HEIGHT), MIN_FACTOR), 1.0)

@@ -19,7 +19,6 @@ from display.window.widgets import (
     WIDTH,
     apply_theme,
     button_grid,
-    choice,
     draw_slider,
     paragraph,
     pixels,
@@ -131,8 +130,11 @@ class PanelDrawer:
                     self.pressed = by_text[pressed].name
                     return list(by_text[pressed].commands)
             case Choice():
-                chosen = unfolding_list(row) if row.listed else choice(row.options, row.current)
-                return [] if chosen == row.current else list(row.choose(chosen))
+                if row.listed:
+                    chosen = unfolding_list(row)
+                else:
+                    chosen = button_grid(row.options, len(row.options), current=row.current, gap=pixels(2))
+                return [] if chosen in (None, row.current) else list(row.choose(chosen))
             case Toggle():
                 toggled, on = imgui.checkbox(row.name, row.on)
                 return list(row.switch(on)) if toggled else []

@@ -104,38 +104,26 @@ def width_of(count: int, gap: float | None = None) -> float:
     return (imgui.get_content_region_avail().x - gap * (count - 1)) / count
 
 
-def button_grid(names: Mapping[str, str], columns: int) -> str | None:
-    """Draw buttons, `columns` in a row, with their tips. Returns the name of the one that was pressed."""
-    size, pressed = (width_of(columns), 0), None
+def button_grid(
+    names: Mapping[str, str], columns: int, *, current: str | None = None, gap: float | None = None
+) -> str | None:
+    """Draw buttons, `columns` in a row, `gap` [px] apart, with their tips; the `current` one is lit. Returns the name
+    of the one that was pressed."""
+    size, pressed = (width_of(columns, gap), 0), None
     for k, (name, tip) in enumerate(names.items()):
         if k % columns:
-            imgui.same_line()
-        if imgui.button(name, size):
-            pressed = name
-        if tip:
-            imgui.set_item_tooltip(tip)
-    return pressed
-
-
-def choice(names: Mapping[str, str], current: str) -> str:
-    """Draw buttons side by side, with their tips, of which one is on. Returns the chosen name."""
-    gap = pixels(2)
-    size = (width_of(len(names), gap), 0)
-    for index, (name, tip) in enumerate(names.items()):
-        if index:
-            imgui.same_line(0, gap)
-        on = name == current
-        if on:
+            imgui.same_line(0, -1 if gap is None else gap)
+        if name == current:
             for colour in (imgui.Col_.button, imgui.Col_.button_hovered, imgui.Col_.button_active):
                 imgui.push_style_color(colour, ACCENT)
             imgui.push_style_color(imgui.Col_.text, ON_ACCENT)
         if imgui.button(name, size):
-            current = name
-        if on:
+            pressed = name
+        if name == current:
             imgui.pop_style_color(4)
         if tip:
             imgui.set_item_tooltip(tip)
-    return current
+    return pressed
 
 
 def draw_slider(slider: Slider, changed_before: set[str]) -> list[Command]:

@@ -40,18 +40,13 @@ def test_a_slow_machine_draws_coarser_while_things_move_and_all_once_they_are_st
     assert set(again[1:]) == {scales[-1]}  # it is remembered
 
 
-def test_it_gets_finer_again_when_there_is_time():
+def test_another_window_keeps_the_scale_and_it_gets_finer_again_when_there_is_time():
     resolution = WindowResolution()
     now, scales = run(resolution, 0.0, 3.0, cost=lambda scale: 0.2 * scale**2, moving=True)
     assert scales[-1] == R.MIN_SCALE
+    assert resolution.size((1920, 1080)) == (960, 544) and resolution.size((33, 32)) == (16, 16)
     now, scales = run(resolution, now, 12.0, cost=lambda scale: 0.01 * scale**2, moving=True)
     assert scales[-1] == 1.0
-
-
-def test_a_window_of_another_size_keeps_the_scale():
-    resolution = WindowResolution()
-    run(resolution, 0.0, 3.0, cost=lambda scale: 0.2 * scale**2, moving=True)
-    assert resolution.size((1920, 1080)) == (960, 544) and resolution.size((33, 32)) == (16, 16)
 
 
 # in a headset

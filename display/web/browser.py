@@ -255,7 +255,6 @@ class Browser(Display):
             return []
         commands = self._controls.key(name, down, world)
         self._controls.quit = False  # a page does not end the program
-        self._controls.help, self._controls.gizmo = False, None  # of the window alone: the page lists the keys itself
         return commands
 
     def stats(self) -> dict:

@@ -66,7 +66,7 @@ MESSAGES: dict[str, Any] = {
 }
 STAMPED = ("move", "button", "wheel", "pinch", "key")  # the last value is the stamp
 # Actions of keys that a page has in its own way, or not at all.
-WINDOW_ONLY = ("panel", "menu", "help", "asks_file", "next_gizmo", "toggle_room_gizmo", "escape")
+WINDOW_ONLY = ("panel", "menu", "help", "asks_file", "next_gizmo", "toggle_room_gizmo", "measure", "escape")
 PAGE_KEYS = [
     ("F1", "show or hide the panel"),
     ("F2", "choose another scene"),

@@ -79,7 +79,7 @@ class PictureFlow:
         self.latencies: deque[float] = deque(maxlen=HISTORY_LENGTH)  # [s] from input to its picture on view
         self.intervals: deque[float] = deque(maxlen=HISTORY_LENGTH)  # [s] between pictures that follow one another
         self.last: tuple[int, int] = (-1, 0)  # the picture that the page has or will have, and its quality
-        self._sent: deque[tuple[int, float]] = deque()  # number and time of what is unanswered
+        self.under_way: deque[tuple[int, float]] = deque()  # number and time of what is unanswered
         self.delays: deque[float] = deque(maxlen=DELAYS)  # [s] of small messages, there and back
         self._level, self._slow, self._fast = len(QUALITIES) - 1, 0, 0
         self._shown: float | None = None  # when the last picture was
@@ -97,28 +97,23 @@ class PictureFlow:
     @property
     def ready(self) -> bool:
         """True if another picture may be sent."""
-        return len(self._sent) < self.window
-
-    @property
-    def idle(self) -> bool:
-        """True if nothing is under way: then a small message measures the delay."""
-        return not self._sent
+        return len(self.under_way) < self.window
 
     def send(self, now: float, picture: int, quality: int) -> int:
         """Note that a picture goes out; its number."""
         self.frames += 1
-        self._sent.append((self.frames, now))
+        self.under_way.append((self.frames, now))
         self.last = (picture, quality)
         return self.frames
 
     def shown(self, number: int, now: float, latency: float | None) -> bool:
         """Note that the page shows a picture, `latency` after the last input in it; False if it was not sent."""
-        numbers = [n for n, _ in self._sent]
+        numbers = [n for n, _ in self.under_way]
         if number not in numbers:
             return False
-        while self._sent[0][0] != number:  # older ones were passed over
-            self._sent.popleft()
-        _, sent = self._sent.popleft()
+        while self.under_way[0][0] != number:  # older ones were passed over
+            self.under_way.popleft()
+        _, sent = self.under_way.popleft()
         if latency is not None:
             self.latencies.append(latency)
         if self._shown is not None and now - self._shown <= MAX_GAP:
@@ -352,8 +347,7 @@ class PageServer:
         with self._changed:
             self._pages.append(page)
             self.flows.append(page.flow)
-            self._changed.notify_all()
-        self._assign_roles()
+            self._assign_roles()
         pings = asyncio.ensure_future(self._measure_delay(page))
         try:
             async for message in connection:
@@ -368,24 +362,23 @@ class PageServer:
                 if page is self._pages[0]:
                     self._change_player()
                 self._pages.remove(page)
-            self._assign_roles()
+                self._assign_roles()
 
     def _change_player(self) -> None:
         """Forget what the player has sent: another page plays from now on."""
         self._events.clear()
         self._events.append(("left",))
-        self._changed.notify_all()
 
     def _assign_roles(self) -> None:
-        with self._changed:
-            for k, page in enumerate(self._pages):
-                send(page, json.dumps({"role": "watch" if k else "play", "pages": len(self._pages)}))
+        for k, page in enumerate(self._pages):
+            send(page, json.dumps({"role": "watch" if k else "play", "pages": len(self._pages)}))
+        self._changed.notify_all()
 
     async def _measure_delay(self, page: Page) -> None:
         """Send small messages where no picture is in their way."""
         while True:
             with self._changed:
-                if page.flow.idle and page.pinged is None:
+                if not page.flow.under_way and page.pinged is None:
                     page.pinged = perf_counter()
                     send(page, json.dumps({"ping": page.flow.frames}))
             await asyncio.sleep(PING_INTERVAL)
@@ -406,7 +399,7 @@ class PageServer:
                     page.flow.delays.append(now - page.pinged)
                 page.pinged = None
             elif name == "size":
-                page.size = (values[0], values[1])
+                page.size = tuple(values)
             elif name == "hidden":
                 (page.hidden,) = values
             elif name == "details":
@@ -416,11 +409,10 @@ class PageServer:
                     self._change_player()
                     self._pages.remove(page)
                     self._pages.insert(0, page)
+                self._assign_roles()
             elif page is self._pages[0]:
                 self._queue((name, *values))
             self._changed.notify_all()
-        if name == "take":
-            self._assign_roles()
 
     def _queue(self, event: tuple) -> None:
         """Queue an event for the display; of consecutive moves only the last, with the stamp of the first."""

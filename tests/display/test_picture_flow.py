@@ -50,7 +50,7 @@ def test_a_page_that_never_answers_gets_a_bounded_number_of_pictures():
     flow.delays.append(10.0)
     while flow.ready:
         flow.send(0.0, 1, 80)
-    assert len(flow._sent) == MAX_UNDER_WAY
+    assert len(flow.under_way) == MAX_UNDER_WAY
     assert not flow.shown(99, 1.0, None)  # an answer to what was never sent
 
 

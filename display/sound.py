@@ -195,9 +195,14 @@ class AudioDevice:
         real = [b for b in miniaudio.Backend if b is not miniaudio.Backend.NULL]
         with contextlib.suppress(OSError, AttributeError):  # ALSA would print that there is no device
             ctypes.CDLL("libasound.so.2").snd_lib_error_set_handler(SILENT)
-        form = {"output_format": miniaudio.SampleFormat.FLOAT32, "nchannels": 2, "sample_rate": RATE}
         try:
-            self._device = miniaudio.PlaybackDevice(**form, buffersize_msec=BUFFER, backends=list(backends or real))
+            self._device = miniaudio.PlaybackDevice(
+                output_format=miniaudio.SampleFormat.FLOAT32,
+                nchannels=2,
+                sample_rate=RATE,
+                buffersize_msec=BUFFER,
+                backends=list(backends or real),
+            )
             blocks = blocks_of(mix)
             next(blocks)
             self._device.start(blocks)
@@ -224,7 +229,7 @@ PAN = 0.8  # of a sound straight from the side, which the other ear hears too
 
 
 class Sound:
-    """Listens to a world `after` each frame of a play; `close` ends the sound and finishes that of the film.
+    """Listens to a world `after` each frame of a play. Use it in a `with`, which finishes the sound of the film.
 
     film        that gets a sound track; None: there is no film
     heard       whether to open the loudspeakers, in a thread of its own: it takes some tenths of a second
@@ -247,18 +252,12 @@ class Sound:
         return self
 
     def __exit__(self, *error) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the sound; join the track to the film."""
         if self._opening is not None:
             self._opening.join()
         if self._device is not None:
             self._device.close()
-            self._device = None
         if self._track is not None:
             self._track.write()
-            self._track = None
 
     def _open(self) -> None:
         try:

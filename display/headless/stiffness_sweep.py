@@ -20,6 +20,7 @@ from core.material import Material
 from core.rotation import best_fit_rotation
 from core.spherical_harmonics import C0
 from core.vocabulary import Body, Light, Plane
+from display.panel import pascals
 from display.picture import pixels_of
 from display.protocol import Frame
 from scenes.scene import Scene
@@ -192,7 +193,7 @@ def strip(name: str, drops: list[Drop], height: float) -> np.ndarray:
     rows = ("greatest compression", "at rest")
     for column, d in enumerate(drops):
         left = MARGIN + column * (PANEL + GAP)
-        write(page, f"E = {pascal(d.young)}", (left, HEAD - 12), 20, weight=600)
+        write(page, f"E = {pascals(d.young)}", (left, HEAD - 12), 20, weight=600)
         numbers = (f"{d.compression:.0%}", f"{d.settled:.0%} of its height")
         for k, (picture, row, number) in enumerate(zip(d.pictures, rows, numbers, strict=True)):
             top = HEAD + k * (PANEL + FOOT)
@@ -210,14 +211,6 @@ def mark_height(picture: np.ndarray, camera: Camera, x: np.ndarray, height: floa
     pixels = p[:, :2] / p[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
     for a, b in pixels.reshape(-1, 2, 2):
         cv2.line(picture, *(tuple(np.round(16 * q).astype(int).tolist()) for q in (a, b)), ACCENT, 1, cv2.LINE_AA, 4)
-
-
-def pascal(value: float) -> str:
-    """A stiffness with a suitable unit: 3e4 is "30 kPa"."""
-    for unit, name in ((1e6, "MPa"), (1e3, "kPa")):
-        if value >= unit:
-            return f"{value / unit:.3g} {name}"
-    return f"{value:.3g} Pa"
 
 
 def write(page: np.ndarray, text: str, place: tuple[int, int], size: int, colour=INK, weight: int = 400) -> None:

@@ -44,13 +44,13 @@ TextLine = list[tuple[str, tuple[float, ...]]]  # texts side by side, with their
 
 
 def text_box(
-    name: str, lines: Sequence[TextLine], left: float, *, gap: float, scale: float = 1.0, place=(0.5, 0.0)
+    name: str, lines: Sequence[TextLine], left: float, *, gap: float, scale: float = 1.0, height: float = 0.0
 ) -> None:
-    """Draw lines of text on glass, right of `left` [px].
+    """Draw lines of text on glass in the middle, right of `left` [px].
 
-    gap    between texts side by side [px]
-    scale  of the glass around them
-    place  (0, 0): in the upper left corner of the window, (1, 1): in the lower right one
+    gap     between texts side by side [px]
+    scale   of the glass around them
+    height  0: at the upper edge of the window, 1: at the lower one
 
     The size is computed here: a window that ImGui fits to its content is cut off in its first frame, which is the one
     that stays on the screen while something takes long.
@@ -62,11 +62,10 @@ def text_box(
     longest = max(area.x - left - 2 * edge - 2 * style.window_padding.x, pixels(100))
     extents = [[imgui.calc_text_size(text, False, longest) for text, _ in line] for line in lines]
     wide = max(sum(e.x + 1 for e in line) + gap * (len(line) - 1) for line in extents)  # ImGui places on whole pixels
-    width = min(wide, longest)
-    height = sum(max(e.y for e in line) for line in extents) + style.item_spacing.y * (len(lines) - 1)
-    size = (width + 2 * style.window_padding.x + 1, height + 2 * style.window_padding.y)
-    at = [edge + part * (side - s - 2 * edge) for part, side, s in zip(place, area, size, strict=True)]
-    imgui.set_next_window_pos((max(at[0], left + edge), at[1]))
+    high = sum(max(e.y for e in line) for line in extents) + style.item_spacing.y * (len(lines) - 1)
+    size = (min(wide, longest) + 2 * style.window_padding.x + 1, high + 2 * style.window_padding.y)
+    x = max(0.5 * (area.x - size[0]), left + edge)
+    imgui.set_next_window_pos((x, edge + height * (area.y - size[1] - 2 * edge)))
     imgui.set_next_window_size(size)
     flags = imgui.WindowFlags_
     still = flags.no_decoration | flags.no_inputs | flags.no_saved_settings | flags.no_bring_to_front_on_focus
@@ -113,7 +112,7 @@ class FirstHint:
         factor = min(max(imgui.get_io().display_size.y / pixels(FULL_HEIGHT), MIN_FACTOR), 1.0)
         imgui.push_font(None, HINT_SIZE * factor)
         imgui.push_style_var(imgui.StyleVar_.alpha, opacity)
-        text_box("hint", [line], left, gap=pixels(5) * factor, scale=HINT_PADDING * factor, place=(0.5, 1.0))
+        text_box("hint", [line], left, gap=pixels(5) * factor, scale=HINT_PADDING * factor, height=1.0)
         imgui.pop_style_var()
         imgui.pop_font()
 

@@ -110,7 +110,7 @@ class Window(Display):
         events = self._surface.begin()
         imgui.push_font(None, TITLE_SIZE)
         if text:
-            text_box("loading", [[(text, QUIET)]], 0.0, gap=0.0, place=(0.5, 0.5))
+            text_box("loading", [[(text, QUIET)]], 0.0, gap=0.0, height=0.5)
         imgui.pop_font()
         self._texture.draw(self._surface.frame_size)
         self._surface.end()

@@ -60,9 +60,7 @@ def test_there_are_no_frames_without_a_page_and_no_pictures_without_a_change(bal
 def test_a_drag_grabs_and_throws_and_keys_act_as_in_the_window(ball):
     with PageClient(ball.url) as page:
         page.send("size", 320, 180)
-        page.send(
-            "key", "KeyK", "k", True, False, 0
-        )  # a window asks for two points, a page does not
+        page.send("key", "KeyK", "k", True, False, 0)  # a window asks for two points, a page does not
         page.send("button", "left", True, *MIDDLE, 1)
         page.until(lambda: page.state.get("grabbing"))
         held = ball.until(lambda f: f["held"])

@@ -159,15 +159,14 @@ class Bouncing:
     gravity, sound, time = G, None, 0.0
     cameras = [perspective(320, 180, 0.9, look_at((0, 0, 1), (0, 0, 0)))]
 
-    def __init__(self, dt: float = 1 / 60):
-        self.dt = dt
-        self.hits, self.times, self.speeds = bounce(1.0, 0.7, 1.9, [dt] * round(2 / dt))
+    def __init__(self):
+        self.hits, self._times, self._speeds = bounce(1.0, 0.7, 1.9, [1 / 60] * 120)
         self._velocity = (0.0, 0.0, 0.0)
 
     def frames(self):
-        for k, (time, v) in enumerate(zip(self.times, self.speeds, strict=True)):
-            self.time, self._velocity = float(time), (0.0, v, 0.0)
-            yield k, Frame(self.dt, float(time), [])
+        for time, v in zip(self._times.tolist(), self._speeds, strict=True):
+            self.time, self._velocity = time, (0.0, v, 0.0)
+            yield Frame(1 / 60, time, [])
 
     def bodies(self):
         return [state(self._velocity)]
@@ -193,7 +192,7 @@ def test_a_film_gets_its_bounces_at_their_times(tmp_path):
     world, film = Bouncing(), tmp_path / "ball.mp4"
     with Sound(film=film, heard=False, asked=False, preferences=Preferences()) as sound:
         video = Video(film, 32, 24, fps=60)
-        for _, frame in world.frames():
+        for frame in world.frames():
             video.write(np.zeros((24, 32, 3), np.uint8))
             sound.after(frame, world)
         video.close()
@@ -223,7 +222,7 @@ def test_a_reset_and_an_edit_are_silent():
     world = Bouncing()
     with Sound(film=None, heard=False, asked=False, preferences=Preferences()) as sound:
         sound._track = N(add=lambda *what: pytest.fail("heard"), write=lambda: None)
-        for _, frame in world.frames():
+        for frame in world.frames():
             sound.after(replace(frame, commands=[Reset()]), world)
 
 

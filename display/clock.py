@@ -64,15 +64,21 @@ class Clock:
             return Tick(step, step, seconds, 0)
         passed = shown - last
         missed = round(passed / period) - 1 if 0 < MISSED_PERIODS * period < passed else 0
-        dt = min(passed * 1e-9, catch_up_limit(cost))
-        self.dropped += 0.0 if cost is None else passed * 1e-9 - dt
+        dt, dropped = caught_up(passed * 1e-9, cost)
+        self.dropped += dropped
         self.time += dt
         return Tick(dt, step, seconds, missed)
 
 
-def catch_up_limit(cost: float | None) -> float:
-    """Longest time [s] that one frame catches up with, if simulating a second takes `cost` seconds."""
-    return MIN_CATCH_UP if cost is None else max(MIN_CATCH_UP, CATCH_UP_TIME * (1.0 - cost))
+def caught_up(seconds: float, cost: float | None) -> tuple[float, float]:
+    """Time [s] that a frame simulates after `seconds`, and what is left out, if simulating one takes `cost` seconds.
+
+    `cost` is None while it is unknown, as kernels are being compiled: time that passes then does not count.
+    """
+    if cost is None:
+        return min(seconds, MIN_CATCH_UP), 0.0
+    dt = min(seconds, max(MIN_CATCH_UP, CATCH_UP_TIME * (1.0 - cost)))
+    return dt, seconds - dt
 
 
 class SimulationCost:

@@ -11,7 +11,7 @@ import numpy as np
 
 from core.errors import Cancelled
 from display.adaptive_resolution import WindowResolution
-from display.clock import catch_up_limit
+from display.clock import caught_up
 from display.panel import Panel, commands_of
 from display.picture import fit, pixels_of
 from display.preferences import Preferences
@@ -141,9 +141,8 @@ class Browser(Display):
             self._pace(last, world)
             now = perf_counter()
             seconds, last = now - last, now
-            cost = world.simulation_cost
-            dt = min(seconds, catch_up_limit(cost))
-            self._dropped += 0.0 if cost is None else seconds - dt
+            dt, dropped = caught_up(seconds, world.simulation_cost)
+            self._dropped += dropped
             commands = self._handle(self._server.take(), world)
             hands = self._controls.hands(dt, commands, world)
             self._time += dt

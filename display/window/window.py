@@ -11,7 +11,7 @@ from core.camera import project
 from core.errors import Cancelled
 from core.vocabulary import BodyState
 from display.adaptive_resolution import WindowResolution
-from display.clock import catch_up_limit
+from display.clock import caught_up
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.panel import GIZMO_BUTTON, Panel
 from display.picture import fit
@@ -136,9 +136,8 @@ class Window(Display):
             events = self._surface.begin()
             now = perf_counter()
             seconds, last = now - last, now
-            cost = world.simulation_cost
-            dt = min(seconds, catch_up_limit(cost))
-            self._dropped += 0.0 if cost is None else seconds - dt
+            dt, dropped = caught_up(seconds, world.simulation_cost)
+            self._dropped += dropped
             drawing = world.timings.latest("shadow", "render", "present")
             self._busy = self._moved or world.moving
             self._resolution.note(now, seconds, drawing, moving=self._busy)

@@ -12,7 +12,7 @@ from display.clock import (
     MIN_PERIOD,
     Clock,
     SimulationCost,
-    catch_up_limit,
+    caught_up,
     frame_steps,
     interpolate_hand,
 )
@@ -96,9 +96,15 @@ def test_a_machine_that_cannot_keep_up_draws_on_at_a_slower_pace(cost):
     assert clock.dropped == pytest.approx(begin + shown * 1e-9 - clock.time) and clock.dropped > 0.1
 
 
+@pytest.mark.parametrize(("cost", "dt", "dropped"), [(None, 0.05, 0.0), (0.3, 0.1, 0.0), (2.0, 0.05, 0.05)])
+def test_time_is_caught_up_with_where_simulation_is_faster_than_it(cost, dt, dropped):
+    """Ten pictures a second, in a window too: all time is simulated, or the world slows down and says how much."""
+    assert caught_up(0.1, cost) == pytest.approx((dt, dropped))
+
+
 def test_what_simulating_costs_is_told_by_the_usual_frame_not_by_the_first_nor_by_a_hitch():
     cost = SimulationCost()
-    assert cost.value is None and catch_up_limit(cost.value) == MIN_CATCH_UP
+    assert cost.value is None
     cost.note(0.0, 0.0)
     cost.note(30.0, 0.01)
     assert cost.value is None

@@ -1,11 +1,9 @@
 """The real window under Xvfb, driven by a mouse and keys from outside (xdotool)."""
 
-import itertools
 import json
 import subprocess
 import sys
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -13,9 +11,7 @@ import pytest
 
 from core.camera import look_at, perspective, project
 from core.errors import BadInput
-from display.adaptive_resolution import WindowResolution
 from display.window.gl_window import has_display
-from display.window.mouse import OrbitCamera
 from display.window.window import Window
 from tests.support.fake_world import RADIUS, fake_scene
 from tests.support.watched import Watched
@@ -259,23 +255,3 @@ def test_a_display_that_does_not_answer_is_no_display(tmp_path):
     out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True, text=True)
     assert out.stdout.strip() == "False", out.stderr
     assert out.stderr == ""
-
-
-@pytest.mark.parametrize(("cost", "step", "dropped"), [(None, 0.05, 0.0), (0.3, 0.1, 0.0), (2.0, 0.05, 0.05)])
-def test_time_is_caught_up_with_where_simulation_is_faster_than_it(monkeypatch, cost, step, dropped):
-    """Ten pictures a second: all time is simulated, in short steps, or the world slows down and says how much."""
-    clock = itertools.count(0.0, 0.1)
-    monkeypatch.setattr("display.window.window.perf_counter", lambda: next(clock))
-    window = Window.__new__(Window)
-    orbit = OrbitCamera((0, 0, 2), (0, 0, 0), 1.0)
-    window._surface = MagicMock(frame_size=(96, 54), closing=False, asleep=lambda: False, begin=list)
-    window._controls = MagicMock(orbit=orbit, quit=False)
-    window._panel, window._resolution = MagicMock(panel=MagicMock(scale=None)), WindowResolution()
-    window._moved, window._dropped, window._time = False, 0.0, 0.0
-    window._commands, window._resized = [], ((96, 54), 0.0)
-    window._handle = lambda events, world: []
-    timings = MagicMock(latest=lambda *_: 0.0)
-    world = MagicMock(simulation_cost=cost, picture_size=(96, 54), paused=False, moving=False, timings=timings)
-    frame = next(window.frames(world))
-    assert frame.dt == pytest.approx(step) and frame.max_step == pytest.approx(1 / 20)
-    assert window._dropped == pytest.approx(dropped)

@@ -137,7 +137,7 @@ class TetLocator:
 
     @cached_property
     def _cell_lists(self) -> tuple[np.ndarray, np.ndarray]:
-        """`candidates` and `cell_start`, made on first use: a device search makes its own."""
+        """`candidates` and `cell_start`, made on first use."""
         first, extent, cell_size = self.box_begin, self.box_extent, self.cell_size
         counts = extent.prod(1)
         tet = np.repeat(np.arange(len(counts), dtype=np.int32), counts)

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from assets.asset import Asset
+from core.point_location import TetLocator
 from core.report import Chart, Section, Table, html_page
 from core.tetmesh import enclosed_volume, face_components, tet_volumes
 from prepare.cage.component_cages import OPAQUE
-from prepare.cage.embedding_hosts import DeviceLocator
 from prepare.cage.level_set import (
     ComponentSolid,
     areas,
@@ -80,7 +80,7 @@ def examine(
     opaque = g.opacities > OPAQUE
     points = g.means[opaque if opaque.any() else slice(None)].astype(np.float64)
     points = points[:: len(points) // MAX_POINTS + 1]
-    inside = DeviceLocator(cage.vertices, cage.tets).find(points) >= 0
+    inside = TetLocator(cage.vertices, cage.tets).find(points) >= 0
     to_cage = distance_to_surface(points, cage.vertices, cage.surface)
     to_gaussians = cKDTree(points).query(surface_samples(cage.vertices, cage.surface)[0])[0]
     angles = dihedral_angles(cage.vertices, cage.tets)

@@ -12,7 +12,6 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.point_location import TetLocator
 from core.tetmesh import tet_volumes
-from prepare.cage.embedding_hosts import DeviceLocator
 from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.cage.relaxation import DESCENT_STEPS, Descent, relax
@@ -91,7 +90,7 @@ def stuffed_to_count(shape: ShapeWidths, vertices: int, uniform_cell: float, fin
     """
     low, high = 0.3 * uniform_cell, (COARSEST if finer else 2.0) * uniform_cell
     limit = high
-    half, ratio = shape.halved(OUTER_BAND * limit / 2 * 2**coarser), USUAL_RATIO[finer]
+    half, ratio = shape.halved(), USUAL_RATIO[finer]
     fewest = estimated_vertices(half, limit / 2, finer, coarser)
     best, best_error, tried_limit = None, np.inf, False
     for attempt in range(MAX_STUFFINGS):
@@ -192,8 +191,8 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exa
         return cage, fault(cage, filled, 0.0, vertices, exact)
     descent = Descent(cage.tets, len(cage.vertices), DistanceGrid(found.phi, np.zeros(3), 1.0))
     for growth in GROWTHS + (() if exact else INEXACT_GROWTHS):
-        cage = relax(cage, descent, volume=whole * (1 + growth), lift=lift, steps=steps)
-        outside = points[DeviceLocator(cage.vertices, cage.tets).find(points) < 0]
+        cage = relax(cage, descent, whole * (1 + growth), lift=lift, steps=steps)
+        outside = points[TetLocator(cage.vertices, cage.tets).find(points) < 0]
         inside = 1 - len(outside) / max(len(points), 1)
         reason = fault(cage, filled, inside, vertices, exact)
         if "inside" not in reason or inside < INSIDE_HOPELESS:

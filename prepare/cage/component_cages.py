@@ -18,7 +18,7 @@ from prepare.cleaning import MIN_GAUSSIANS
 
 MESHERS = ("stuffing", "tetgen")
 GRID_NODES = 96  # on the longest side for 2,000 vertices: seven a lattice cell
-GRID_NODES_RANGE = (64, 192)  # with the border below filling.MAX_NODES
+GRID_NODES_RANGE = (64, 192)  # with the border below 256, which `filling.interior` counts in bytes
 GRID_POWER = 0.2  # of the number of vertices; 1/3 would keep seven, but four are enough and memory is limited
 BORDER = 1 / 8  # of the grid, left free on each side for what closing and widening add
 MAX_STRAY = 0.05  # of the extent: a Gaussian this far off the surface belongs to another component
@@ -178,22 +178,20 @@ def component_cages(
                 report((k + done) / len(components))
 
             progress(0.0)
-            own, exact = g.select(component.indices), vertices >= EXACT_VERTICES
+            own = g.select(component.indices)
             held = surface_mask(own) & ~component.in_flap(own)
             points = (own.means[held].astype(np.float64) - component.grid.origin) / component.grid.spacing
             # A few vertices hold no thin feature exactly: a minor component may be inexact, or left out.
-            for strict in (True, False) if exact and minor else (exact,):
-                try:
-                    cage, used = mesh(
-                        mesher, component.phi, points, count, progress, adaptive=adaptive, exact=strict, say=say
-                    )
-                except BadInput as e:
-                    reason = e
-                else:
-                    return {**vars(cage), "tetgen": np.array(used == "tetgen")}
-            if not minor:
-                raise reason
-            return {"tets": np.zeros((0, 4), np.int32)}
+            exact = vertices >= EXACT_VERTICES and not minor
+            try:
+                cage, used = mesh(
+                    mesher, component.phi, points, count, progress, adaptive=adaptive, exact=exact, say=say
+                )
+            except BadInput:
+                if not minor:
+                    raise
+                return {"tets": np.zeros((0, 4), np.int32)}
+            return {**vars(cage), "tetgen": np.array(used == "tetgen")}
 
         made = checkpoint(f"cage{k or ''}", make)
         if len(made["tets"]):
@@ -248,7 +246,7 @@ def joined_cage(cages: list[ComponentCage], place: Callable[[np.ndarray], np.nda
 
 
 def embedded_in(cage: Cage, begin: np.ndarray, g: Gaussians, counts: list[int]) -> CageEmbedding:
-    """Embedding of each Gaussian in its own component: `counts` of them, one after the other. Taichi must be running.
+    """Embedding of each Gaussian in its own component: `counts` of them, one after the other.
 
     begin  as of `joined_cage`
     """

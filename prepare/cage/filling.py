@@ -11,95 +11,48 @@ from assets.gaussians import Gaussians
 from core.rotation import matrices_from_quaternions
 from prepare.cage.level_set import dilated_18
 
-LEAF, BLOCKS = 8, 32  # the tree spans 256 cells an axis; only blocks of 8^3 that hold something take memory
-MAX_NODES = LEAF * BLOCKS  # an axis
 DENSE = 0.5  # summed opacity; the visible surface is about where half of the light is absorbed
 BLUR = 0.5  # cells; standard deviation added to each Gaussian, so that none falls between the nodes
 CUTOFF = 3.0  # standard deviations splatted
 MAX_CUTOFF_CELLS = 12.0  # a smear must not cost more than thousands of other Gaussians
 
 
-@ti.data_oriented
-class OpacityGrid:
-    """Summed opacity on a sparse tree, pointer -> bitmasked. Made once and reused: its memory stays allocated."""
-
-    def __init__(self) -> None:
-        self.runtime = ti.lang.impl.get_runtime()
-        self.density = ti.field(ti.f32)
-        builder = ti.FieldsBuilder()
-        self.block = builder.pointer(ti.ijk, BLOCKS)
-        self.leaf = self.block.bitmasked(ti.ijk, LEAF)
-        self.leaf.place(self.density)
-        builder.finalize()
-
-    def splat(self, means, axes, variances, opacities, shape) -> np.ndarray:
-        """Density (X, Y, Z) float32 of Gaussians given in cells; node (i, j, k) lies at (i, j, k).
-
-        axes (N, 3, 3)  rotations, whose columns are the principal axes; variances (N, 3) along these
-        """
-        if max(shape) > MAX_NODES:
-            raise ValueError(f"a grid of {shape} nodes; at most {MAX_NODES} an axis")
-        spread = np.einsum("nik,nk->ni", axes**2, variances)
-        radius = np.minimum(CUTOFF * np.sqrt(spread), MAX_CUTOFF_CELLS)
-        scaled = axes / variances[:, None]
-        inverse = np.stack([(scaled[:, i] * axes[:, j]).sum(1) for i in range(3) for j in range(i, 3)], 1)
-        out = np.zeros(shape, np.float32)
-        self._clear()
-        f32 = [np.ascontiguousarray(a, np.float32) for a in (means, inverse, opacities, radius)]
-        self._add(*f32, ti.Vector(list(shape)))
-        self._copy(out)
-        return out
-
-    @ti.kernel
-    def _clear(self):
-        for i, j, k in self.density:  # blocks stay: bodies of one size use the same ones
-            self.density[i, j, k] = 0.0
-
-    @ti.kernel
-    def _add(
-        self,
-        mean: ti.types.ndarray(dtype=ti.f32, ndim=2),
-        inverse: ti.types.ndarray(dtype=ti.f32, ndim=2),
-        opacity: ti.types.ndarray(dtype=ti.f32, ndim=1),
-        radius: ti.types.ndarray(dtype=ti.f32, ndim=2),
-        shape: ti.types.vector(3, ti.i32),
-    ):
-        """density(x) = sum_g o_g exp(-1/2 (x - mu)^T Sigma^-1 (x - mu))."""
-        for g in range(opacity.shape[0]):
-            mu = ti.Vector([mean[g, 0], mean[g, 1], mean[g, 2]])
-            r = ti.Vector([radius[g, 0], radius[g, 1], radius[g, 2]])
-            last = ti.cast(shape, ti.f32) - 1.0
-            low = ti.cast(ti.ceil(ti.math.clamp(mu - r, 0.0, last)), ti.i32)  # clamped as floats: no integer overflow
-            high = ti.cast(ti.floor(ti.math.clamp(mu + r, -1.0, last)), ti.i32)
-            for i in range(low[0], high[0] + 1):
-                for j in range(low[1], high[1] + 1):
-                    for k in range(low[2], high[2] + 1):
-                        d = ti.Vector([i, j, k]) - mu
-                        q = inverse[g, 0] * d[0] * d[0] + inverse[g, 3] * d[1] * d[1] + inverse[g, 5] * d[2] * d[2]
-                        q += 2 * (
-                            inverse[g, 1] * d[0] * d[1] + inverse[g, 2] * d[0] * d[2] + inverse[g, 4] * d[1] * d[2]
-                        )
-                        if q < CUTOFF * CUTOFF:
-                            self.density[i, j, k] += opacity[g] * ti.exp(-0.5 * q)
-
-    @ti.kernel
-    def _copy(self, out: ti.types.ndarray(dtype=ti.f32, ndim=3)):
-        for i, j, k in self.density:
-            if i < out.shape[0] and j < out.shape[1] and k < out.shape[2]:  # a leaf reaches past the grid's end
-                out[i, j, k] = self.density[i, j, k]
-
-
-_grid: OpacityGrid | None = None
+@ti.kernel
+def _add(
+    mean: ti.types.ndarray(dtype=ti.f32, ndim=2),
+    inverse: ti.types.ndarray(dtype=ti.f32, ndim=2),
+    opacity: ti.types.ndarray(dtype=ti.f32, ndim=1),
+    radius: ti.types.ndarray(dtype=ti.f32, ndim=2),
+    density: ti.types.ndarray(dtype=ti.f32, ndim=3),
+):
+    """density(x) += sum_g o_g exp(-1/2 (x - mu)^T Sigma^-1 (x - mu)); all in cells, node (i, j, k) at (i, j, k)."""
+    for g in range(opacity.shape[0]):
+        mu = ti.Vector([mean[g, 0], mean[g, 1], mean[g, 2]])
+        r = ti.Vector([radius[g, 0], radius[g, 1], radius[g, 2]])
+        last = ti.Vector([density.shape[0], density.shape[1], density.shape[2]]) - 1.0
+        low = ti.cast(ti.ceil(ti.math.clamp(mu - r, 0.0, last)), ti.i32)  # clamped as floats: no integer overflow
+        high = ti.cast(ti.floor(ti.math.clamp(mu + r, -1.0, last)), ti.i32)
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                for k in range(low[2], high[2] + 1):
+                    d = ti.Vector([i, j, k]) - mu
+                    q = inverse[g, 0] * d[0] * d[0] + inverse[g, 3] * d[1] * d[1] + inverse[g, 5] * d[2] * d[2]
+                    q += 2 * (inverse[g, 1] * d[0] * d[1] + inverse[g, 2] * d[0] * d[2] + inverse[g, 4] * d[1] * d[2])
+                    if q < CUTOFF * CUTOFF:
+                        density[i, j, k] += opacity[g] * ti.exp(-0.5 * q)
 
 
 def density_of(gaussians: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, int, int]) -> np.ndarray:
     """Summed opacity (X, Y, Z) float32 at the nodes origin + spacing (i, j, k) [m]. Taichi must be running."""
-    global _grid
-    if _grid is None or _grid.runtime is not ti.lang.impl.get_runtime():  # none yet, or ti.reset destroyed it
-        _grid = OpacityGrid()
     variances = (np.exp(gaussians.log_scales.astype(np.float64)) / spacing) ** 2 + BLUR**2
     axes = matrices_from_quaternions(gaussians.quats)
-    return _grid.splat((gaussians.means - origin) / spacing, axes, variances, gaussians.opacities, shape)
+    spread = np.einsum("nik,nk->ni", axes**2, variances)
+    radius = np.minimum(CUTOFF * np.sqrt(spread), MAX_CUTOFF_CELLS)
+    scaled = axes / variances[:, None]
+    inverse = np.stack([(scaled[:, i] * axes[:, j]).sum(1) for i in range(3) for j in range(i, 3)], 1)
+    means, density = (gaussians.means - origin) / spacing, np.zeros(shape, np.float32)
+    _add(*(np.ascontiguousarray(a, np.float32) for a in (means, inverse, gaussians.opacities, radius)), density)
+    return density
 
 
 def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.ndarray:
@@ -115,7 +68,7 @@ def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.nd
             ray = np.flip(shell, axis) if sign > 0 else shell  # accumulates from the ray's end
             enters = ray.copy()
             np.moveaxis(enters, axis, 0)[1:] &= ~np.moveaxis(ray, axis, 0)[:-1]
-            crossings = np.cumsum(enters, axis, dtype=np.uint8)  # at most MAX_NODES / 2 fit
+            crossings = np.cumsum(enters, axis, dtype=np.uint8)  # at most 128: grids are below 256
             crossings = np.flip(crossings, axis) if sign > 0 else crossings
             hits += crossings > 0
             odd |= (crossings & 1).view(bool)

@@ -22,6 +22,8 @@ MAX_DRIFT = (-0.6, 0.3)  # cells; how far smoothing may move the surface out and
 CONTACT_NODES = 56  # of the contact grid on the longest side: half a centimetre on a toy
 MAX_CONTACT_NODES = 160  # the same for several components together, however far apart
 CONTACT_MARGIN = 3  # nodes around the shape
+SAMPLES = 60_000  # points that stand for a surface
+NEAREST_SAMPLES = 12  # samples whose triangles are measured exactly for a point
 
 
 @dataclass(frozen=True)
@@ -73,11 +75,6 @@ def distance_to(mask: np.ndarray, limit: float = np.inf) -> np.ndarray:
     return np.where(found > limit, np.inf, found).astype(np.float32)
 
 
-def signed_distance_of_cells(solid: np.ndarray) -> np.ndarray:
-    """Signed distance [cells] to the boundary between solid and empty cells, negative inside."""
-    return np.where(solid, 0.5 - distance_to(~solid), distance_to(solid) - 0.5)
-
-
 def level_sets(solid: np.ndarray, least: float = 1.0) -> np.ndarray:
     """Signed distance [cells] of each component of the solid cells, closed and smoothed, (P, X, Y, Z) float32.
 
@@ -109,7 +106,7 @@ def without_cavities(solid: np.ndarray) -> np.ndarray:
 
 def smoothed_distance(closed: np.ndarray) -> np.ndarray:
     """Signed distance [cells] to the cells `closed`, without their staircase."""
-    exact = signed_distance_of_cells(closed)
+    exact = np.where(closed, 0.5 - distance_to(~closed), distance_to(closed) - 0.5)
     smooth = gaussian_filter(exact, SMOOTHING, mode="nearest")
     return np.clip(smooth, exact + MAX_DRIFT[0], exact + MAX_DRIFT[1]).astype(np.float32)
 
@@ -139,10 +136,6 @@ def contact_grid(shapes: list[DistanceGrid]) -> DistanceGrid:
     return DistanceGrid(values.astype(np.float16), start, float(step))
 
 
-SAMPLES = 60_000  # points that stand for a surface
-NEAREST_SAMPLES = 12  # samples whose triangles are measured exactly for a point
-
-
 def marching_cubes(distance: DistanceGrid, level: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) [m] float64 and triangles (F, 3) int32, counter-clockwise from outside, where distance = level.
 
@@ -167,46 +160,24 @@ def areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def surface_samples(vertices: np.ndarray, faces: np.ndarray, n: int = SAMPLES, seed: int = 0):
-    """Points (n, 3) [m] spread evenly over the triangles, and the triangle (n,) of each.
+def surface_samples(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """SAMPLES points (N, 3) [m] spread evenly over the triangles, and the triangle (N,) of each."""
+    import trimesh
 
-    Stratified: one point in each n-th of the area, so that no region is missed.
-    """
-    rng = np.random.default_rng(seed)
-    along = np.cumsum(areas(vertices, faces))
-    triangle = np.searchsorted(along, (np.arange(n) + rng.uniform(size=n)) / n * along[-1]).clip(max=len(faces) - 1)
-    u, v = np.sqrt(rng.uniform(size=n)), rng.uniform(size=n)
-    weights = np.stack([1 - u, u * (1 - v), u * v], 1)
-    return np.einsum("nk,nki->ni", weights, np.asarray(vertices, np.float64)[faces[triangle]]), triangle
-
-
-def distance_to_triangles(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Distance [m] (N,) of each point p (N, 3) to its own triangle, corners (N, 3, 3).
-
-    To the plane where the foot falls inside, else to the nearest edge.
-    """
-    a, b, c = np.moveaxis(corners, 1, 0)
-    best = np.full(len(p), np.inf)
-    normal = np.cross(b - a, c - a)
-    inside = np.ones(len(p), bool)
-    for start, end in ((a, b), (b, c), (c, a)):
-        edge, to = end - start, p - start
-        inside &= np.einsum("ni,ni->n", np.cross(edge, to), normal) >= 0
-        t = np.einsum("ni,ni->n", to, edge) / np.maximum(np.einsum("ni,ni->n", edge, edge), 1e-300)
-        best = np.minimum(best, np.linalg.norm(to - t.clip(0, 1)[:, None] * edge, axis=1))
-    length = np.linalg.norm(normal, axis=1)
-    plane = np.abs(np.einsum("ni,ni->n", p - a, normal)) / np.maximum(length, 1e-300)
-    return np.where(inside & (length > 0), plane, best)
+    return trimesh.sample.sample_surface(trimesh.Trimesh(vertices, faces, process=False), SAMPLES, seed=0)
 
 
 def distance_to_surface(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Distance [m] (N,) of points (N, 3) to a surface: exact for the triangles of the nearest samples."""
+    from trimesh.triangles import closest_point
+
     samples, triangle = surface_samples(vertices, faces)
     corners = np.asarray(vertices, np.float64)[faces]
     _, near = cKDTree(samples).query(points, k=NEAREST_SAMPLES)
     best = np.full(len(points), np.inf)
     for k in range(NEAREST_SAMPLES):
-        best = np.minimum(best, distance_to_triangles(points, corners[triangle[near[:, k]]]))
+        foot = closest_point(corners[triangle[near[:, k]]], points)
+        best = np.minimum(best, np.linalg.norm(points - foot, axis=1))
     return best
 
 

@@ -6,9 +6,8 @@ The energy takes stiffness and shape of all tets as one number; its gradient mov
     kappa_t = 1 / 9 sum_a A_a^2 / (V_t m_a),  m_a = sum of V / 4 around a,  q_t = (sum of squared edges)^1.5 / V_t
 
 with the area A_a of the face opposite corner a, the cage's volume W, and q = 1 for a regular tet. The longest stable
-substep falls with the largest kappa (sim/time_step.py); the factor W makes E scale-invariant, so
-that growing does not lower it. Vertices gather what tets contribute in a fixed order, so that the same cage gives the
-same bits.
+substep falls with the largest kappa (sim/time_step.py); the factor W makes E scale-invariant, so that growing does not
+lower it. Vertices gather what tets contribute in a fixed order, so that the same cage gives the same bits.
 """
 
 import numpy as np
@@ -20,7 +19,6 @@ from core.tetmesh import TET_EDGES, TET_FACES, cross_columns, edge_vectors, vert
 
 POWER = 8  # high enough for the worst tets to dominate, low enough for their neighbours to follow
 SHAPE = 2.0  # a tet this many times worse in shape than a regular one counts as much as one of median kappa
-PARTIAL_SUMS = 64  # a sum over all tets is made of this many partial sums, each in a fixed order
 REGULAR = 6**1.5 * 6 * 2**0.5  # (sum of squared edges)^1.5 / V of a regular tet
 FACES = tuple(map(tuple, TET_FACES.tolist()))
 
@@ -44,25 +42,11 @@ def face_normals(c: ti.template()):
 
 
 @ti.kernel
-def _volumes(
-    x: Matrix, tets: Tets, first: Indices, slot: Indices, volume: Vector, mass: Vector, part: Matrix, sums: Vector
-):
-    """Volumes of tets and vertices (m_a). Out: sums[0] = least volume, sums[1] = W."""
+def _volumes(x: Matrix, tets: Tets, first: Indices, slot: Indices, volume: Vector, mass: Vector):
+    """Out: volumes of the tets, and of the vertices (m_a)."""
     for t in volume:
         c = [corner(x, tets, t, k) for k in ti.static(range(4))]
         volume[t] = (c[1] - c[0]).dot((c[2] - c[0]).cross(c[3] - c[0])) / 6
-    for b in range(PARTIAL_SUMS):
-        least, total = volume[0], ti.cast(0.0, ti.f64)
-        for t in range(b * volume.shape[0] // PARTIAL_SUMS, (b + 1) * volume.shape[0] // PARTIAL_SUMS):
-            least = ti.min(least, volume[t])
-            total += volume[t]
-        part[b, 0], part[b, 1] = least, total
-    for _ in range(1):
-        least, total = part[0, 0], ti.cast(0.0, ti.f64)
-        for b in range(PARTIAL_SUMS):
-            least = ti.min(least, part[b, 0])
-            total += part[b, 1]
-        sums[0], sums[1] = least, total
     for v in mass:
         total = ti.cast(0.0, ti.f64)
         for s in range(first[v], first[v + 1]):
@@ -72,48 +56,38 @@ def _volumes(
 
 @ti.kernel
 def _terms(
-    x: Matrix, tets: Tets, unit: ti.f64, shape: ti.f64, power: ti.f64, volume: Vector, mass: Vector, part: Matrix,
-    sums: Vector, kappa: Vector, stiffness: Vector, distortion: Vector,
+    x: Matrix, tets: Tets, scale: ti.f64, unit: ti.f64, shape: ti.f64, volume: Vector, mass: Vector, kappa: Vector,
+    stiffness: Vector, distortion: Vector,
 ):  # fmt: skip
-    """Both terms of E of each tet, and kappa_t W^(2/3). Out: sums[2], sums[3] = their totals.
+    """Out: kappa_t W^(2/3), and both terms of E of each tet.
 
-    shape = SHAPE / REGULAR; power = 2 / 3: as arguments, because literals would be float32
+    scale = W^(2/3) / 9; shape = SHAPE / REGULAR: an argument, because a literal would be float32
     """
     for t in volume:
-        common = sums[1] ** power / 9 / volume[t]
         c = [corner(x, tets, t, k) for k in ti.static(range(4))]
         n = face_normals(c)
         total, square = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
         mean = (c[0] + c[1] + c[2] + c[3]) / 4
         for a in ti.static(range(4)):
-            total += common * n[a].norm_sqr() / (4 * mass[tets[t, a]])
+            total += scale / volume[t] * n[a].norm_sqr() / (4 * mass[tets[t, a]])
             square += 4 * (c[a] - mean).norm_sqr()
         kappa[t] = total
         stiffness[t] = (total / unit) ** POWER
         distortion[t] = (shape * square * ti.sqrt(square) / volume[t]) ** POWER
-    for b in range(PARTIAL_SUMS):
-        one, other = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
-        for t in range(b * volume.shape[0] // PARTIAL_SUMS, (b + 1) * volume.shape[0] // PARTIAL_SUMS):
-            one += stiffness[t]
-            other += distortion[t]
-        part[b, 0], part[b, 1] = one, other
-    for _ in range(1):
-        one, other = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
-        for b in range(PARTIAL_SUMS):
-            one += part[b, 0]
-            other += part[b, 1]
-        sums[2], sums[3] = one, other
 
 
 @ti.kernel
 def _gradient(
-    x: Matrix, tets: Tets, first: Indices, slot: Indices, power: ti.f64, volume: Vector, mass: Vector, sums: Vector,
+    x: Matrix, tets: Tets, first: Indices, slot: Indices, scale: ti.f64, by_whole: ti.f64, volume: Vector, mass: Vector,
     kappa: Vector, stiffness: Vector, distortion: Vector, by_mass: Matrix, mass_gradient: Vector,
     corner_gradient: Matrix, gradient: Matrix,
 ):  # fmt: skip
-    """Chain rule through volumes, vertex masses, face normals and edges. Out: gradient = dE / dx, (V, 3)."""
+    """Chain rule through volumes, vertex masses, face normals and edges. Out: gradient = dE / dx, (V, 3).
+
+    scale = W^(2/3) / 9; by_whole = dE / dW
+    """
     for t in volume:
-        common = sums[1] ** power / 9 / volume[t]
+        common = scale / volume[t]
         c = [corner(x, tets, t, k) for k in ti.static(range(4))]
         n = face_normals(c)
         for a in ti.static(range(4)):
@@ -125,10 +99,10 @@ def _gradient(
             total += by_mass[slot[s] // 4, slot[s] % 4]
         mass_gradient[v] = total
     for t in volume:
-        common = sums[1] ** power / 9 / volume[t]
+        common = scale / volume[t]
         c = [corner(x, tets, t, k) for k in ti.static(range(4))]
         n = face_normals(c)
-        by_volume = POWER * sums[2] * power / sums[1] - POWER * (stiffness[t] + distortion[t]) / volume[t]
+        by_volume = by_whole - POWER * (stiffness[t] + distortion[t]) / volume[t]
         mean, square = (c[0] + c[1] + c[2] + c[3]) / 4, ti.cast(0.0, ti.f64)
         for a in ti.static(range(4)):
             by_volume += mass_gradient[tets[t, a]] / 4
@@ -170,7 +144,6 @@ class QualityEnergy:
         self.volume, self.kappa, self._stiffness, self._distortion = (ti.ndarray(ti.f64, n) for _ in range(4))
         self._by_mass, self._corner_gradient = ti.ndarray(ti.f64, (n, 4)), ti.ndarray(ti.f64, (n, 12))
         self._mass, self._mass_gradient = ti.ndarray(ti.f64, count), ti.ndarray(ti.f64, count)
-        self._part, self._sums = ti.ndarray(ti.f64, (PARTIAL_SUMS, 2)), ti.ndarray(ti.f64, 4)
 
     def vectors(self, x: np.ndarray | None = None) -> ti.Ndarray:
         """A device array (V, 3): of x, or uninitialised."""
@@ -178,23 +151,19 @@ class QualityEnergy:
 
     def energy(self, x: ti.Ndarray, gradient: ti.Ndarray, unit: float) -> float:
         """E at x (V, 3), infinite if a tet is inverted. Out: gradient (V, 3), undefined where E is infinite."""
-        mesh, numbers = (x, self._tets), (self._first, self._slot)
-        _volumes(*mesh, *numbers, self.volume, self._mass, self._part, self._sums)
-        if not self._sums.to_numpy()[0] > 0:
+        mesh, numbers, volumes = (x, self._tets), (self._first, self._slot), (self.volume, self._mass)
+        _volumes(*mesh, *numbers, *volumes)
+        volume = self.volume.to_numpy()
+        if not volume.min() > 0:
             return np.inf
-        terms = self.kappa, self._stiffness, self._distortion
-        _terms(*mesh, unit, SHAPE / REGULAR, 2 / 3, self.volume, self._mass, self._part, self._sums, *terms)
-        _gradient(
-            *mesh, *numbers, 2 / 3, self.volume, self._mass, self._sums, *terms, self._by_mass, self._mass_gradient,
-            self._corner_gradient, gradient,
-        )  # fmt: skip
-        return float(self._sums.to_numpy()[2:].sum())
-
-    def at(self, x: np.ndarray, unit: float = 1.0):
-        """E at x (V, 3), infinite if a tet is inverted; its gradient (V, 3); and kappa_t W^(2/3) (T,)."""
-        gradient = self.vectors()
-        energy = self.energy(self.vectors(x), gradient, unit)
-        return (energy, gradient.to_numpy(), self.kappa.to_numpy()) if energy < np.inf else (energy, None, None)
+        whole = float(volume.sum())
+        scale, terms = whole ** (2 / 3) / 9, (self.kappa, self._stiffness, self._distortion)
+        _terms(*mesh, scale, unit, SHAPE / REGULAR, *volumes, *terms)
+        stiffness = float(self._stiffness.to_numpy().sum())
+        by_whole = POWER * stiffness * (2 / 3) / whole
+        scratch = self._by_mass, self._mass_gradient, self._corner_gradient
+        _gradient(*mesh, *numbers, scale, by_whole, *volumes, *terms, *scratch, gradient)
+        return stiffness + float(self._distortion.to_numpy().sum())
 
 
 def device_array(dtype, values: np.ndarray) -> ti.Ndarray:
@@ -232,31 +201,17 @@ def non_manifold_vertices(surface: np.ndarray) -> np.ndarray:
     surface = np.asarray(surface)
     if not len(surface):
         return np.zeros(0, np.int64)
-    tail = surface.reshape(-1)  # corner c = 3 f + k lies at the tail of edge c
-    head = np.roll(surface, -1, axis=1).reshape(-1)
-    edges = np.stack([tail, head], 1)
-    _, edge, count = np.unique(vertex_set_keys(edges), return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
-    irregular = edges[count[edge] != 2].reshape(-1)
-
-    # Around each vertex: the two faces of a regular edge share the corners at both of its ends.
-    order = np.argsort(edge, kind="stable")
-    order = order[count[edge[order]] == 2].reshape(-1, 2)
-    corner = np.arange(len(tail))
-    following = corner - corner % 3 + (corner + 1) % 3  # the corner at the head of edge c
-    a, b = order[:, 0], order[:, 1]
-    opposed = tail[a] == head[b]  # a consistently oriented surface runs an edge in both directions
-    links = np.stack(
-        [
-            np.concatenate([a, following[a]]),
-            np.concatenate([np.where(opposed, following[b], b), np.where(opposed, b, following[b])]),
-        ]
-    )
-    n = len(tail)
-    _, fan = connected_components(coo_matrix((np.ones(links.shape[1], bool), tuple(links)), (n, n)), directed=False)
-    fans = np.sort(tail.astype(np.int64) * n + fan)
-    fan_count = np.bincount(fans[np.flatnonzero(np.diff(fans, prepend=-1))] // n)
-    return np.unique(np.concatenate([irregular, np.flatnonzero(fan_count > 1)]))
+    corner = surface.reshape(-1)
+    n = int(corner.max()) + 1
+    ends = np.concatenate([np.roll(surface, -k, axis=1).reshape(-1) for k in (1, 2)])
+    # Each corner of a face touches two edges, told apart by end: corners that share one are of the same fan.
+    _, edge, count = np.unique(np.tile(corner, 2) * np.int64(n) + ends, return_inverse=True, return_counts=True)
+    irregular = np.tile(corner, 2)[count[edge] != 2]
+    size = len(corner) + len(count)
+    links = np.tile(np.arange(len(corner)), 2), len(corner) + edge
+    _, fan = connected_components(coo_matrix((np.ones(len(edge), bool), links), (size, size)), directed=False)
+    fans = np.unique(corner * np.int64(size) + fan[: len(corner)]) // size
+    return np.unique(np.concatenate([irregular, np.flatnonzero(np.bincount(fans) > 1)]))
 
 
 def euler_characteristic(surface: np.ndarray) -> int:

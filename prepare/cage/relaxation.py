@@ -1,6 +1,6 @@
 """Mesh optimisation: move a cage's vertices so that a longer substep is stable.
 
-Stuffing leaves thin tets and light corners on the surface whose kappa (prepare/cage/quality_energy.py) is thirty times
+Stuffing leaves thin tets and light corners on the surface whose kappa (prepare/cage/mesh_quality.py) is thirty times
 the median. Gradient descent lowers a high power of kappa and of a measure of shape while surface vertices slide on the
 surface; then the worst remaining tets are lifted by local search. Substeps become twice as long, and the smallest
 dihedral angle rises from about 12 to about 17 degrees.
@@ -11,9 +11,16 @@ import taichi as ti
 
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
-from core.tetmesh import TET_FACES, tet_volumes
+from core.tetmesh import tet_volumes
 from prepare.cage.level_set import areas
-from prepare.cage.mesh_quality import Matrix, QualityEnergy, Vector, device_array, smallest_angle
+from prepare.cage.mesh_quality import (
+    Matrix,
+    QualityEnergy,
+    Vector,
+    device_array,
+    dihedral_cosines,
+    smallest_angle,
+)
 
 DESCENT_STEPS = 30  # of descent; 20 bring most of the substep, the others better angles
 MAX_TRAVEL = 0.35  # lattice cells a vertex may move by descent
@@ -28,10 +35,9 @@ MIN_SLOPE2 = 0.25  # squared: a distance has slope 1, less on its ridges
 SEARCH_ANGLE = 14.0  # [degrees] tets with smaller angles are worked on by local search
 SEARCH_ROUNDS = 8
 SEARCH_STEPS = (0.02, 0.06, 0.15)  # cells
-_grid = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
-_directions = _grid[np.abs(_grid).sum(1) > 0] / np.linalg.norm(_grid[np.abs(_grid).sum(1) > 0], axis=1, keepdims=True)
+_neighbours = np.delete(np.indices((3, 3, 3)).reshape(3, -1).T - 1.0, 13, axis=0)  # all 26, without the middle
+_directions = _neighbours / np.linalg.norm(_neighbours, axis=1, keepdims=True)
 SEARCH_OFFSETS = np.concatenate([s * _directions for s in SEARCH_STEPS])  # (78, 3) [cells]
-_I, _J = np.triu_indices(4, 1)
 
 vec3 = ti.types.vector(3, ti.f64)
 Values = ti.types.ndarray(ti.f32, ndim=3)
@@ -138,17 +144,12 @@ def cell_widths(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 def relax(
-    cage: Cage,
-    descent: Descent,
-    *,
-    volume: float | None = None,
-    lift: np.ndarray | None = None,
-    steps: int = DESCENT_STEPS,
+    cage: Cage, descent: Descent, volume: float, *, lift: np.ndarray | None = None, steps: int = DESCENT_STEPS
 ) -> Cage:
     """The same tets with vertices moved, for a longer stable substep.
 
     descent  of these tets, in the signed distance that the cage was stuffed from
-    volume   the surface is moved along its normal until the cage has about this volume; None: it stays
+    volume   the surface is moved along its normal until the cage has about this volume
     lift     distance each vertex (V,) of the surface moves outwards before that; None: 0
     """
     x, tets, distance = cage.vertices.astype(np.float64), cage.tets, descent.distance
@@ -175,26 +176,22 @@ def relax(
 
     if lift is not None:
         x, level = offset(x, level, lift[outer])
-    if volume is not None:
-        x, level = grown(x, level)
+    x, level = grown(x, level)
     small = 4 * np.quantile(tet_volumes(x, tets), SMALL_QUANTILE)  # in graded cages the smallest have the largest kappa
     start, x = x, descent.run(x, outer, level, width, small, steps)
     if smallest_angle(x, tets) < min(MIN_ANGLE, smallest_angle(start, tets)):
         x = start
-    if volume is not None:
-        x, level = grown(x, level)
+    x, level = grown(x, level)
     x = lift_slivers(x, tets, distance, outer, level, width)
     return Cage(x.astype(np.float32), tets, cage.surface)
 
 
 def min_angles(corners: np.ndarray) -> np.ndarray:
     """Smallest dihedral angle [degrees] (...) of tets with corners (..., 4, 3); -1 where one is inverted."""
-    face = corners[..., TET_FACES, :]
-    normal = np.cross(face[..., 1, :] - face[..., 0, :], face[..., 2, :] - face[..., 0, :])
-    volume = -np.einsum("...i,...i", corners[..., 0, :] - corners[..., 1, :], normal[..., 0, :])
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
-    cosine = np.einsum("...ki,...ki->...k", normal[..., _I, :], normal[..., _J, :])
-    return np.where(volume > 0, np.degrees(np.arccos((-cosine).max(-1).clip(-1, 1))), -1.0)
+    vertices = corners.reshape(-1, 3)
+    tets = np.arange(len(vertices)).reshape(-1, 4)
+    angles = np.degrees(np.arccos(dihedral_cosines(vertices, tets).max(0)))
+    return np.where(tet_volumes(vertices, tets) > 0, angles, -1.0).reshape(corners.shape[:-2])
 
 
 def lift_slivers(x: np.ndarray, tets: np.ndarray, distance: DistanceGrid, outer, level, width: np.ndarray):

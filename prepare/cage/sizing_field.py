@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, maximum_filter
+from scipy.ndimage import gaussian_laplace, maximum_filter
 
 from core.errors import BadInput
 from prepare.cage.level_set import distance_to
@@ -28,14 +28,13 @@ RIDGE_SLOPE = 0.8  # a distance field has slope 1 but on its ridges
 class ShapeWidths:
     """A shape phi (X, Y, Z) < 0 with its local half widths and curvature, cached where they do not depend on a lattice.
 
-    phi         signed distance (X, Y, Z), or at the flat indices `only` (N,) after `halved`; so is what methods return
+    phi         signed distance (X, Y, Z)
     half_width  (X, Y, Z) of the feature each place belongs to, one of `widths`; infinite outside, and above `widest`
     """
 
-    def __init__(self, phi: np.ndarray, half_width: np.ndarray, widths: np.ndarray, only: np.ndarray | None = None):
-        self._whole, self.half_width, self.widths, self.only = phi, half_width, widths, only
-        self.phi = phi if only is None else phi.reshape(-1)[only]
-        self._cached = {}
+    def __init__(self, phi: np.ndarray, half_width: np.ndarray, widths: np.ndarray):
+        self.phi, self.half_width, self.widths = phi, half_width, widths
+        self._cached: dict = {}
 
     @classmethod
     def of(cls, phi: np.ndarray, widest: float) -> ShapeWidths:
@@ -51,10 +50,9 @@ class ShapeWidths:
             half_width[inside & (distance_to(deep, limit) > limit) if deep.any() else inside] = r
         return cls(phi, half_width, widths)
 
-    def halved(self, limit: float) -> ShapeWidths:
-        """The shape at every other node, in cells twice as wide, at the nodes where phi is below `limit` of these."""
-        phi = self._whole[::2, ::2, ::2] / 2
-        return ShapeWidths(phi, self.half_width[::2, ::2, ::2] / 2, self.widths / 2, np.flatnonzero(phi < limit))
+    def halved(self) -> ShapeWidths:
+        """The shape at every other node, in cells twice as wide."""
+        return ShapeWidths(self.phi[::2, ::2, ::2] / 2, self.half_width[::2, ::2, ::2] / 2, self.widths / 2)
 
     def curvature(self, cell: float) -> np.ndarray:
         """Absolute sum of the principal curvatures (X, Y, Z) of the shape smoothed over NOISE_SCALE of a cell."""
@@ -62,24 +60,22 @@ class ShapeWidths:
         sigma = 2 ** (k / 2)
 
         def make() -> np.ndarray:
-            smooth = gaussian_filter(self._whole.clip(-5 * sigma, 5 * sigma), sigma, truncate=3)
-            return np.abs(laplacian(smooth))
+            return np.abs(gaussian_laplace(self.phi.clip(-5 * sigma, 5 * sigma), sigma, truncate=3))
 
         return self._once(k, make)
 
-    def thinner(self, width: float) -> np.ndarray:
-        """Mask (X, Y, Z) of features whose half width is less than this."""
-        return self.half_width < np.float32(width)
-
     def distance_to_thin(self, width: float, limit: float) -> np.ndarray | None:
-        """Distance (X, Y, Z) from `thinner` features, infinite beyond `limit` or more; None where there are none."""
-        return self._distance("thin", width, limit, lambda: self.thinner(width))
+        """Distance (X, Y, Z) from features whose half width is less than `width`, infinite beyond `limit` or more.
+
+        None where there are none.
+        """
+        return self._distance("thin", width, limit, lambda: self.half_width < np.float32(width))
 
     def distance_to_medial(self, width: float, limit: float) -> np.ndarray | None:
         """Distance as in `distance_to_thin`, but from the middle of the features, where the distance has a ridge."""
 
         def middle() -> np.ndarray:
-            phi, where = self._whole, np.argwhere(self.thinner(width))
+            phi, where = self.phi, np.argwhere(self.half_width < np.float32(width))
             slope = np.zeros(len(where))
             for axis in range(3):
                 low, high = where.copy(), where.copy()
@@ -103,22 +99,10 @@ class ShapeWidths:
         return self._once((name, int((self.widths < np.float32(width)).sum()), octave), make)
 
     def _once(self, key, make: Callable[[], np.ndarray | None]) -> np.ndarray | None:
-        """Result of `make` at the nodes `only`; computed at the first request."""
+        """Result of `make`, computed at the first request."""
         if key not in self._cached:
-            made = make()
-            self._cached[key] = made if made is None or self.only is None else made.reshape(-1)[self.only]
+            self._cached[key] = make()
         return self._cached[key]
-
-
-def laplacian(f: np.ndarray) -> np.ndarray:
-    """Laplacian (X, Y, Z) of smooth values, by differences of fourth order; 0 at the border, two nodes wide."""
-    out = np.zeros_like(f)
-    inner = out[2:-2, 2:-2, 2:-2]
-    for axis in range(3):
-        for step, weight in ((-2, -1 / 12), (-1, 4 / 3), (0, -5 / 2), (1, 4 / 3), (2, -1 / 12)):
-            around = tuple(slice(2 + step * (a == axis), n - 2 + step * (a == axis)) for a, n in enumerate(f.shape))
-            inner += np.float32(weight) * f[around]
-    return out
 
 
 def levels_of(shape: ShapeWidths, cell: float, finer: int, coarser: int) -> np.ndarray:

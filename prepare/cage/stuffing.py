@@ -178,12 +178,11 @@ def crossings(phi: np.ndarray, position: np.ndarray, inside: np.ndarray, outside
     return (a - fa * (b - a) / (fb - fa)).clip(0, 1)
 
 
-def stuff(lattice: Lattice, distance: DistanceGrid, *, largest_only: bool = True) -> Cage:
-    """Cage of the shape where the trilinear signed distance is negative.
+def stuff(lattice: Lattice, distance: DistanceGrid) -> Cage:
+    """Cage of the largest connected part of the shape where the trilinear signed distance is negative.
 
-    lattice       features thinner than about one of its cells may vanish
-    largest_only  keep the connected component with most tets only
-    Out.          a Cage: positive volumes, closed outward 2-manifold surface, no unused vertex
+    Features thinner than about a cell of the lattice may vanish. Volumes are positive, the surface is a closed outward
+    2-manifold, and every vertex is used.
     Raises BadInput where no part of the shape meets the lattice, or a value is not finite.
     """
     if not np.isfinite(distance.values).all():
@@ -208,10 +207,9 @@ def stuff(lattice: Lattice, distance: DistanceGrid, *, largest_only: bool = True
     def cut_ids(p, n):
         return len(phi) + np.searchsorted(key, p * len(phi) + n)
 
-    def snap_back(vertices: np.ndarray) -> None:
-        sign[vertices] = np.where(phi[vertices] < 0, INSIDE, OUTSIDE)
-
+    snap_back = np.zeros(0, int)
     while True:
+        sign[snap_back] = np.where(phi[snap_back] < 0, INSIDE, OUTSIDE)
         position = np.where((sign == ON_SURFACE)[:, None], warped, rest)
         cuts = position[inside] + fraction[:, None] * (position[outside] - position[inside])
         points = np.concatenate([position, cuts])
@@ -222,11 +220,10 @@ def stuff(lattice: Lattice, distance: DistanceGrid, *, largest_only: bool = True
         # Beside smaller cells, warping may flatten a tet: its warped vertices snap back.
         flat = np.unique(cage[tet_volumes(points, cage) < MIN_WARPED_VOLUME * np.abs(unmoved)])
         flat = flat[flat < len(phi)]
-        flat = flat[sign[flat] == ON_SURFACE]
-        if len(flat):
-            snap_back(flat)
+        snap_back = flat[sign[flat] == ON_SURFACE]
+        if len(snap_back):
             continue
-        if largest_only and len(cage):
+        if len(cage):
             cage = cage[face_components(cage) == 0]
         if not len(cage):
             widest = lattice.width.max() * lattice.unit
@@ -237,7 +234,7 @@ def stuff(lattice: Lattice, distance: DistanceGrid, *, largest_only: bool = True
             break
         # A surface through strictly signed vertices is always a manifold; warped vertices can pinch it.
         # These snap back until none is left.
-        snap_back(pinched[pinched < len(phi)])
+        snap_back = pinched[pinched < len(phi)]
     used, flat = np.unique(cage, return_inverse=True)
     number = np.zeros(len(points), np.int32)
     number[used] = np.arange(len(used))

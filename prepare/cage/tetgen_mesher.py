@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import brentq
 
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
@@ -125,13 +126,12 @@ def checked_cage(vertices: np.ndarray, tets: np.ndarray) -> Cage:
 
 def first_edge(area: float, volume: float, vertices: int) -> float:
     """Edge [cells] of a mesh of about `vertices` vertices: on the surface, and an even filling less half a layer."""
-    low, high = 1e-3, 1e3
-    for _ in range(60):
-        h = (low * high) ** 0.5
+
+    def excess(h: float) -> float:
         inner = max(volume - 0.8 * h * area, 0.0)
-        count = area / (0.866 * h * h) + 1.2 * inner / h**3
-        low, high = (h, high) if count > vertices else (low, h)
-    return h
+        return area / (0.866 * h * h) + 1.2 * inner / h**3 - vertices
+
+    return brentq(excess, 1e-3, 1e3)
 
 
 def tetgen_cage(

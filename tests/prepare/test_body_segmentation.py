@@ -8,10 +8,10 @@ from assets.gaussians import Gaussians
 from bench.physics import box
 from core.distance_grid import DistanceGrid
 from core.tetmesh import boundary_surface
+from prepare.cage.embedding_hosts import embed
 from prepare.rig.body_segmentation import Segments, Solid, cut, held_by_hands, inner_and_boundary_faces, split_vertices
 from prepare.rig.landmarks import distance_to_segment
 from prepare.rig.skin_weights import diffuse_weights, isolated_patches, largest_influences, without_spikes
-from tests.support.reference_embedding import embed
 
 
 def trousers(gap: bool = True) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Point location in a cage, on the host and on the device, and the offline half of the two-level embedding."""
+"""Point location in a cage, and the offline half of the two-level embedding."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ from numpy.testing import assert_allclose
 from bench.physics import random_gaussians, tet_bar
 from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
-from prepare.cage.embedding_hosts import DeviceLocator, embed, fraction_inside
-from tests.support import reference_embedding
-from tests.support.reference_embedding import CORNERS, MAX_WEIGHT
+from prepare.cage.embedding_hosts import embed, fraction_inside
 
 BAR = tet_bar((10, 2, 2), (1.0, 0.2, 0.2))
+CORNERS = np.sqrt(3.0) * np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+MAX_WEIGHT = 3.0
 
 
 def brute_weights(vertices, tets, points):
@@ -71,7 +71,7 @@ def embedded_in_bar(g, **options):
     return embed(g.means, g.quats, np.exp(g.log_scales), *BAR, **options)
 
 
-def test_the_paper_s_local_tetrahedron_surrounds_the_ellipsoid(ti_cpu):
+def test_the_paper_s_local_tetrahedron_surrounds_the_ellipsoid():
     """floor=0: the corners are the affine image of a regular tetrahedron round the k-sigma ellipsoid."""
     g = random_gaussians(np.random.default_rng(3), 300, low=(0.1, 0.08, 0.08), high=(0.9, 0.12, 0.12), sigma=0.005)
     k = 1.5
@@ -84,7 +84,7 @@ def test_the_paper_s_local_tetrahedron_surrounds_the_ellipsoid(ti_cpu):
         assert_allclose(np.linalg.norm(np.delete(round_, face, 1).mean(1), axis=1), k, rtol=1e-3)
 
 
-def test_corners_keep_to_the_floor_and_to_one_frame(ti_cpu):
+def test_corners_keep_to_the_floor_and_to_one_frame():
     """Tiny and flat Gaussians take the same regular tetrahedron, however they are turned."""
     g = random_gaussians(np.random.default_rng(4), 200, low=(0.2, 0.09, 0.09), high=(0.8, 0.11, 0.11), sigma=1e-5)
     y = corners_of(embedded_in_bar(g, floor=0.1), *BAR)
@@ -92,7 +92,7 @@ def test_corners_keep_to_the_floor_and_to_one_frame(ti_cpu):
     assert_allclose(y - g.means[:, None], np.tile(0.1 * edge * CORNERS, (200, 1, 1)), atol=1e-5)
 
 
-def test_weights_are_bounded_wherever_gaussians_are(ti_cpu):
+def test_weights_are_bounded_wherever_gaussians_are():
     """Far floaters, huge ones, ones of no thickness: bounded weights, no flat local tetrahedron."""
     rng = np.random.default_rng(5)
     g = random_gaussians(rng, 2000, low=(-3, -3, -3), high=(3, 3, 3), sigma=0.05, spread=2.0)
@@ -105,42 +105,26 @@ def test_weights_are_bounded_wherever_gaussians_are(ti_cpu):
     assert (np.abs(np.linalg.det(D)) > 5e-4 * np.linalg.norm(D, axis=2).max(1) ** 3).all()
 
 
-def test_centroids_are_pulled_in_only_far_outside(ti_cpu):
+def test_centroids_are_pulled_in_only_far_outside():
     """Within 5 cm, half a tet, the weights need no bound: the centroid is the mean."""
     g = random_gaussians(np.random.default_rng(7), 500, low=(-0.05, -0.05, -0.05), high=(1.05, 0.25, 0.25), spread=2.0)
     assert_allclose(corners_of(embedded_in_bar(g), *BAR).mean(1), g.means, atol=1e-6)
 
 
-def test_a_gaussian_outside_follows_one_tet(ti_cpu):
+def test_a_gaussian_outside_follows_one_tet():
     """Corners torn apart over the gaps between extended tets would leave it a wild F."""
     g = random_gaussians(np.random.default_rng(6), 500, low=(0, 0.26, 0), high=(1, 0.28, 0.2), sigma=1e-3, spread=0)
     host = embedded_in_bar(g, floor=0.01).host
     assert (host == host[:, :1]).all()
 
 
-def test_the_kernel_does_what_numpy_does(ti_cpu):
-    """Inside, on the surface, far outside, huge and of no thickness, in a coarse and in a finer cage: the same tets,
-    and weights equal to the last bits of float32."""
-    rng = np.random.default_rng(8)
-    cases = [
-        random_gaussians(rng, 3000, low=(-0.1, -0.1, -0.1), high=(1.1, 0.3, 0.3), sigma=0.004),
-        random_gaussians(rng, 1000, low=(-3, -3, -3), high=(3, 3, 3), sigma=0.05, spread=2.0),
-    ]
-    for cage in (BAR, tet_bar((21, 5, 4), (1.0, 0.2, 0.2))):
-        for g in cases:
-            for options in ({}, {"k": 1.0, "floor": 0.0}):
-                want = reference_embedding.embed(g.means, g.quats, np.exp(g.log_scales), *cage, **options)
-                got = embed(g.means, g.quats, np.exp(g.log_scales), *cage, **options)
-                same = (got.host == want.host).all(1)
-                assert same.mean() > 0.999  # ties: a point on the face between two tets
-                assert_allclose(got.weights[same], want.weights[same], atol=1e-5)
+def test_nothing_to_embed_is_no_error():
     none = embed(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), *BAR)
     assert none.host.shape == (0, 4) and none.weights.shape == (0, 4, 4)
 
 
-def test_the_device_finds_the_same_tets(ti_cpu):
+def test_the_fraction_inside_is_that_of_the_points_in_a_tet():
     points = np.random.default_rng(9).uniform((-0.2, -0.1, -0.1), (1.2, 0.3, 0.3), (3000, 3))
-    found = DeviceLocator(*BAR).find(points)
-    assert (found == TetLocator(*BAR).find(points)).all()
-    assert fraction_inside(*BAR, points) == (found >= 0).mean() > 0.1
+    inside = ((points >= 0) & (points <= [1, 0.2, 0.2])).all(1)
+    assert fraction_inside(*BAR, points) == pytest.approx(inside.mean(), abs=1e-3)
     assert fraction_inside(*BAR, points[:0]) == 1.0

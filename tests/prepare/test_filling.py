@@ -40,14 +40,6 @@ def test_density_is_the_sum_of_the_gaussians(ti_cpu, low, high):
     assert_allclose(found, expected, atol=0.03)
 
 
-def test_the_grid_is_clean_when_used_again(ti_cpu):
-    origin, shape = np.zeros(3), (40, 40, 40)
-    first = density_of(random_gaussians(40, 0, 4, seed=1), origin, 0.1, shape)
-    density_of(random_gaussians(200, 0, 4, seed=2), origin, 0.1, shape)
-    again = density_of(random_gaussians(40, 0, 4, seed=1), origin, 0.1, shape)
-    assert_allclose(again, first, atol=1e-6)
-
-
 def test_absurd_gaussians_do_no_harm(ti_cpu):
     """Far away, as large as float32 allows, or vanishingly thin: the sum stays finite and nothing else is touched."""
     means = np.array([[1e14, 0, 0], [0, -1e14, 0], [0.5, 0.5, 0.5], [0.5, 0.5, 0.5]])

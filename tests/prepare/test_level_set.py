@@ -14,9 +14,7 @@ from prepare.cage.level_set import (
     contact_grid,
     distance_to,
     distance_to_surface,
-    distance_to_triangles,
     marching_cubes,
-    surface_samples,
 )
 from prepare.cage.mesh_quality import euler_characteristic, non_manifold_vertices
 from prepare.report_pictures import Canvas, cubes
@@ -54,26 +52,8 @@ def test_a_shape_at_the_grids_border_is_closed():
         marching_cubes(DistanceGrid(np.ones((5, 5, 5)), np.zeros(3), 1.0))
 
 
-def test_distance_to_a_triangle_is_the_smallest_over_its_points():
-    """Against the minimum over a fine lattice of the triangle's points."""
-    rng = np.random.default_rng(0)
-    p, corners = rng.normal(size=(50, 3)), rng.normal(size=(50, 3, 3))
-    i, j = np.meshgrid(np.arange(121), np.arange(121), indexing="ij")
-    w = np.stack([i, j, 120 - i - j], -1)[i + j <= 120] / 120
-    points = np.einsum("wk,nki->nwi", w, corners)
-    brute = np.linalg.norm(points - p[:, None], axis=-1).min(1)
-    found = distance_to_triangles(p, corners)
-    assert (found <= brute + 1e-12).all()
-    assert_allclose(found, brute, atol=0.04)  # the lattice's step is up to 1/120 of an edge of about four
-    assert np.median(brute - found) < 1e-3
-
-
-def test_samples_are_spread_by_area_and_distances_are_those_to_the_ball():
+def test_distances_to_a_surface_are_those_to_the_ball():
     v, f = marching_cubes(BALL)
-    p, triangle = surface_samples(v, f, 4000)
-    assert distance_to_triangles(p, v[f[triangle]]).max() < 1e-9
-    above = (p[:, 1] > CENTRE[1] + R / 2).mean()  # a cap of half the radius has a quarter of a sphere's area
-    assert_allclose(above, 0.25, atol=0.01)
     p = CENTRE + np.random.default_rng(1).normal(size=(500, 3)) * 0.6
     assert_allclose(distance_to_surface(p, v, f), np.abs(np.linalg.norm(p - CENTRE, axis=1) - R), atol=0.005)
 

@@ -11,7 +11,7 @@ from assets.gaussians import Gaussians
 from bench.physics import random_gaussians, tet_bar
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
-from tests.support.reference_embedding import embed
+from prepare.cage.embedding_hosts import embed
 
 BAR = tet_bar((10, 2, 2), (1.0, 0.2, 0.2))
 SCHEMES = ("two-level", "one-level")

@@ -1,4 +1,4 @@
-"""Float64 NumPy twin of prepare/cage/quality_energy.py."""
+"""Float64 NumPy twin of prepare/cage/mesh_quality.py."""
 
 import numpy as np
 

@@ -71,6 +71,14 @@ def look_at(eye, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
     return np.array([*([x, y, z, -(x * ex + y * ey + z * ez)] for x, y, z in rows), [0.0, 0.0, 0.0, 1.0]])
 
 
+def directions_around(count: int) -> np.ndarray:
+    """Unit directions (count, 3) evenly over the sphere, from +y to -y: a Fibonacci spiral."""
+    k = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * k / count, np.pi * (1 + 5**0.5) * k
+    level = np.sqrt(1.0 - height**2)
+    return np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
+
+
 def unit(v: list[float]) -> list[float]:
     """A vector divided by its length, or as it is if that is 0."""
     length = math.hypot(*v) or 1.0

@@ -36,7 +36,7 @@ def seed_patch(texture: SurfaceTexture, background: Gaussians, degree: int) -> G
     v, u = np.mgrid[: steps[1], : steps[0]]
     places = texture.corner + spacing * np.stack([u + 0.25 + 0.5 * (v % 2), v + 0.5], axis=-1).reshape(-1, 2)
     wide = cv2.dilate(texture.hole.astype(np.uint8), np.ones((3, 3), np.uint8))
-    places = places[texture.sample(wide, places, linear=False) > 0]
+    places = places[texture.sample(wide > 0, places) > 0]
     color = texture.sample(texture.color, places)
     n, sh = len(places), np.zeros((len(places), SH_COUNTS[degree], 3))
     sh[:, 0] = (color - 0.5) / C0
@@ -50,7 +50,7 @@ def _spacing(texture: SurfaceTexture, background: Gaussians) -> float:
     """Distance [m] between neighbouring Gaussians on the known part of the surface, within the bounds of SEEDS."""
     local = texture.surface.local(background.means.astype(np.float64))
     near = (np.abs(local[:, 2]) < 2 * texture.texel + 3 * texture.surface.spread) & (background.opacities > 0.3)
-    on = texture.sample(texture.known.astype(np.uint8), local[near, :2], linear=False) > 0
+    on = texture.sample(texture.known, local[near, :2]) > 0
     spacing = texture.texel * np.sqrt(texture.known.sum() / max(1, on.sum()))
     low, high = (np.sqrt(texture.area / n) for n in SEEDS[::-1])
     return float(np.clip(spacing, max(low, texture.texel), max(high, texture.texel)))
@@ -70,7 +70,7 @@ def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, 
         depth = np.where(falling, -eye[2] / np.minimum(slope[..., 2], -1e-9), np.inf)
         places = eye[:2] + np.where(falling, depth, 0.0)[..., None] * slope[..., :2]
         occluded = (view.alpha > SOLID) & ((view.depth - depth) * slope[..., 2] > 3 * texture.texel)
-        own = (texture.sample(texture.hole.astype(np.uint8), places, linear=False) > 0) & falling & ~occluded
+        own = (texture.sample(texture.hole, places) > 0) & falling & ~occluded
         own &= depth < nearest
         color[own], nearest[own] = texture.sample(texture.color, places)[own], depth[own]
         hole |= own

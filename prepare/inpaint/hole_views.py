@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from assets.gaussians import Gaussians
-from core.camera import Camera, look_at, perspective
+from core.camera import Camera, directions_around, look_at, perspective
 from prepare.blending_weights import BlendingWeights
 from prepare.progress import Progress
 
@@ -23,7 +23,7 @@ TRACE = 0.05  # opacity of the object from which it tints a pixel
 INSIDE = 1.5  # radii from the object's middle: Gaussians that may lie inside the object
 OUTSIDE_SHARE = 0.1  # largest share of such a Gaussian's weight outside the silhouettes, into which it may spread
 SILHOUETTE_MARGIN = 1  # [px] by which silhouettes are dilated
-REMAP_MAX = 30_000  # positions in a row; OpenCV's limit is 32767
+ROW = 1024  # positions sampled in a row; OpenCV's limit is 32767
 
 AROUND = 60  # directions tried if there are no cameras
 AROUND_SIDE, AROUND_SIDE_FULL = 96, 320  # [px] of a trial, and of a view that is kept
@@ -118,24 +118,33 @@ def within_object(background: Gaussians, views: list[HoleView], ball: Surroundin
 
 
 def image_positions(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (..., 2) float32 for cv2.remap of points (..., 3), and their depths [m]. Points behind the camera get
-    positions far outside of the picture."""
+    """Positions (..., 2) float32 of points (..., 3) for `sampled`, and their depths [m].
+
+    Points behind the camera get positions far outside of the picture.
+    """
     x, y, z = camera.projected(points)
     at, ahead = np.stack([x, y], axis=-1) - 0.5, z > 1e-9
     return np.where(ahead[..., None], at, -1e6).clip(-1e6, 1e6).astype(np.float32), z
 
 
-def nearest_pixels(picture: np.ndarray, at: np.ndarray, outside: float) -> np.ndarray:
-    """Values of a picture (H, W) at positions (..., 2), without interpolation."""
-    rows = at.reshape(1, -1, 2) if at.ndim < 3 else at
-    out = np.empty(rows.shape[:2], np.float32)
-    for first in range(0, rows.shape[1], REMAP_MAX):
-        part = np.ascontiguousarray(rows[:, first : first + REMAP_MAX])
-        border = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": outside}
-        out[:, first : first + REMAP_MAX] = cv2.remap(
-            picture.astype(np.float32), part[..., 0], part[..., 1], cv2.INTER_NEAREST, **border
-        )
-    return out.reshape(at.shape[:-1])
+def sampled(picture: np.ndarray, at: np.ndarray, *, linear: bool = False, outside: float = 0.0) -> np.ndarray:
+    """Values (...) of a picture (H, W, ...) at positions (..., 2) [px], 0 at the middle of the first pixel.
+
+    linear   interpolated, else those of the nearest pixel
+    outside  value beyond the picture
+    """
+    values = picture.astype(np.uint8) if picture.dtype == bool else picture
+    flat = at.astype(np.float32).reshape(-1, 2)
+    rows = np.zeros((max(1, -(-len(flat) // ROW)), ROW, 2), np.float32)
+    rows.reshape(-1, 2)[: len(flat)] = flat
+    flag = cv2.INTER_LINEAR if linear else cv2.INTER_NEAREST
+    found = cv2.remap(values, *np.moveaxis(rows, -1, 0), flag, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
+    return found.reshape(-1, *picture.shape[2:])[: len(flat)].reshape(*at.shape[:-1], *picture.shape[2:])
+
+
+def spread_indices(count: int, most: int) -> np.ndarray:
+    """At most `most` indices, evenly spread over range(count)."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)) if count else np.zeros(0, int)
 
 
 def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
@@ -157,25 +166,13 @@ def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
     if (extent < SIDE_MIN).any():
         return None
     width, height = (max(SIDE_MIN, round(float(e * min(1.0, SIDE / extent.max())))) for e in extent)
-    sx, sy = width / extent[0], height / extent[1]
-    return Camera(
-        width,
-        height,
-        camera.fx * sx,
-        camera.fy * sy,
-        (camera.cx - low[0]) * sx,
-        (camera.cy - low[1]) * sy,
-        camera.world_to_camera,
-    )
+    cx, cy = camera.cx - low[0], camera.cy - low[1]
+    return Camera(*extent, camera.fx, camera.fy, cx, cy, camera.world_to_camera).resized(width, height)
 
 
 def cameras_around(background: Gaussians, removed: Gaussians, ball: Surroundings) -> list[Camera]:
     """Cameras on all sides with a free view of an object, for a splat without photographs."""
-    k = np.arange(AROUND) + 0.5  # a Fibonacci sphere
-    height, turn = 1 - 2 * k / AROUND, np.pi * (1 + 5**0.5) * k
-    flat = np.sqrt(1 - height**2)
-    directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], axis=1)
-    eyes = ball.centre + AROUND_DISTANCE * ball.radius * directions
+    eyes = ball.centre + AROUND_DISTANCE * ball.radius * directions_around(AROUND)
     fov = 2 * np.arcsin(min(0.9, REACH / AROUND_DISTANCE))
     poses = [look_at(eye, ball.centre) for eye in eyes]
     trials = [perspective(AROUND_SIDE, AROUND_SIDE, fov, pose) for pose in poses]
@@ -189,5 +186,5 @@ def cameras_around(background: Gaussians, removed: Gaussians, ball: Surroundings
     for drawing in drawings:
         drawing.destroy()
     chosen = np.flatnonzero(np.array(free) > FREE)
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(AROUND_MAX, len(chosen))).round().astype(int))]
+    chosen = chosen[spread_indices(len(chosen), AROUND_MAX)]
     return [perspective(AROUND_SIDE_FULL, AROUND_SIDE_FULL, fov, poses[i]) for i in chosen]

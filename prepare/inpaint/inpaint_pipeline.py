@@ -12,7 +12,14 @@ from core.errors import BadInput
 from core.program import in_threads
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, target, train_patch
-from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, within_object
+from prepare.inpaint.hole_views import (
+    HoleView,
+    Surroundings,
+    cameras_around,
+    draw_views,
+    spread_indices,
+    within_object,
+)
 from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, views_of, without_shadow
 from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
 from prepare.inpaint.support_surface import SurfaceTexture, part_of_surface, shows_colors, support_surfaces, texture_of
@@ -100,16 +107,15 @@ def in_support(
 
     Arguments as of `inpaint`.
     """
-    none = np.zeros(len(removed), bool)
-    if len(removed) < OBJECT_MIN or not len(background):
-        return none
-    ball, photographed = Surroundings.of(removed), cameras is not None
-    cameras = cameras if photographed else cameras_around(background, removed, ball)
-    hiding = removed if others is None else concatenate([removed, others])
-    views = draw_views(background, hiding, cameras, ball, progress)
-    textures = textures_around(views, removed, ball, photographed=photographed)
+    textures = []
+    if len(removed) >= OBJECT_MIN and len(background):
+        ball, photographed = Surroundings.of(removed), cameras is not None
+        cameras = cameras if photographed else cameras_around(background, removed, ball)
+        hiding = removed if others is None else concatenate([removed, others])
+        views = draw_views(background, hiding, cameras, ball, progress)
+        textures = textures_around(views, removed, ball, photographed=photographed)
     if not textures:
-        return none
+        return np.zeros(len(removed), bool)
     like = shows_colors(textures[0], removed.sh[:, 0] * C0 + 0.5)
     return part_of_surface(removed.means, textures[0].surface, ball, like)
 
@@ -162,11 +168,10 @@ def textures_around(
 ) -> list[SurfaceTexture]:
     """Textures of an object's support surfaces, the one that it stands on first."""
     surfaces = support_surfaces(views, removed.means, ball, np.random.default_rng(0))
-    textures = []
-    for surface in surfaces:
-        bounds = [s for s in surfaces if s is not surface]
-        textures.append(texture_of(surface, bounds, views, ball, photographed=photographed))
-    return with_hole_first(textures)
+    bounds = [[other for other in surfaces if other is not s] for s in surfaces]
+    return with_hole_first(
+        [texture_of(s, b, views, ball, photographed=photographed) for s, b in zip(surfaces, bounds, strict=True)]
+    )
 
 
 def with_hole_first(textures: list[SurfaceTexture]) -> list[SurfaceTexture]:
@@ -217,13 +222,8 @@ def close_hole(
     for view, (color, pixels, counts) in zip(hole.views, wanted, strict=True):
         if pixels.sum() >= HOLE_PIXELS:
             picture = (color.clip(0.0, 1.0) * 255).round().astype(np.uint8)
-            targets.append((int(pixels.sum()), Photograph(picture, counts, view.camera)))
-    targets = [targets[i][1] for i in _spread(len(targets), VIEWS_MAX)]
+            targets.append(Photograph(picture, counts, view.camera))
+    targets = [targets[i] for i in spread_indices(len(targets), VIEWS_MAX)]
     if targets:
         patch = train_patch(hole.background, patch, targets, hole.ball.radius, progress, steps)
     return concatenate([hole.background, patch])
-
-
-def _spread(count: int, most: int) -> np.ndarray:
-    """At most `most` indices, evenly spread over range(count)."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)) if count else np.zeros(0, int)

@@ -19,10 +19,10 @@ from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians
-from core.camera import look_at, perspective
+from core.camera import directions_around, look_at, perspective
 from core.spherical_harmonics import C0
 from prepare.blending_weights import BlendingWeights
-from prepare.inpaint.hole_views import HoleView, Surroundings, image_positions, nearest_pixels
+from prepare.inpaint.hole_views import HoleView, Surroundings, image_positions, sampled, spread_indices
 from prepare.inpaint.support_surface import SurfaceTexture, normals_of
 from prepare.progress import Progress
 
@@ -56,8 +56,8 @@ class ShadowMaps:
         found = np.ones((len(points), len(self._cameras)), np.float32)
         for k, (camera, (depth, alpha)) in enumerate(zip(self._cameras, self._maps, strict=True)):
             at, z = image_positions(camera, points)
-            shades = nearest_pixels(depth, at, np.inf) < z - bias
-            found[shades, k] -= nearest_pixels(cv2.GaussianBlur(alpha, (3, 3), 0), at, 0.0)[shades]
+            shades = sampled(depth, at, outside=np.inf) < z - bias
+            found[shades, k] -= sampled(cv2.GaussianBlur(alpha, (3, 3), 0), at)[shades]
         return found
 
 
@@ -88,7 +88,7 @@ def find_shadow(
     y, x = np.nonzero(texture.known)
     if len(y) <= texture.hole.sum():
         return None
-    chosen = np.unique(np.linspace(0, len(y) - 1, TEXELS).round().astype(int))
+    chosen = spread_indices(len(y), TEXELS)
     y, x = y[chosen], x[chosen]
     points = texture.surface.points(texture.places()[y, x])
     directions = half_sphere(DIRECTIONS) @ texture.surface.axes
@@ -142,10 +142,7 @@ def confirmed(shown: np.ndarray, left: np.ndarray, across: np.ndarray) -> float:
 
 def half_sphere(count: int) -> np.ndarray:
     """Unit directions (count, 3) evenly over the half sphere around +z."""
-    k = np.arange(count) + 0.5
-    z, turn = 1.0 - k / count, np.pi * (1 + 5**0.5) * k
-    flat = np.sqrt(1.0 - z * z)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+    return directions_around(2 * count)[:count, [0, 2, 1]]
 
 
 def without_shadow(background: Gaussians, shadow: ObjectShadow, ball: Surroundings, views: list[HoleView]) -> Gaussians:

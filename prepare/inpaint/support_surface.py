@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from core.planes import fit_plane
 from core.program import in_threads
-from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
+from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, sampled
 
 POINTS, POINTS_MIN = 6000, 50  # sampled on the background around the object, from all views
 OBJECT_POINTS = 2000  # sampled on the object
@@ -34,13 +34,10 @@ TEXELS = (96, 384)  # least and most along a side
 NEAR_SURFACE = 0.04  # radii: a pixel whose depth is this near shows the surface
 GRAZING = 0.12  # cosine of the steepest angle from which a surface is sampled
 SEEN_SHARE = 0.05  # share of the views that must show a texel; fewer are glimpses or noise of the depth
-EMPTY_SHARE = (
-    0.25  # share of the views that must see through it, of those past the object beside such texels; fewer graze a dent
-)
+EMPTY_SHARE = 0.25  # share of the views that must see through it, beside such texels of those past the object
 COVERED_SHARE = 0.3  # share of the views in which the object must cover it; else something else hides it
 LEAK, RIM = 2, 6  # texels repainted around a hole, and compared for its known share
 SLIVER = 2  # texels: half the width of a gap that is a dent at the object's foot, not the end of the surface
-ROW = 1024  # texels sampled per row (cv2.remap limits rows)
 HOLE_MIN = 4  # texels of a connected hole; smaller ones are noise of the depth
 EDGE_POINTS = 50, 400  # least and most from which a surface's edge is continued
 HUE = 0.15  # largest distance of RGB, 0..1, from a shade of a surface's colour
@@ -209,14 +206,9 @@ class SurfaceTexture:
         y, x = np.mgrid[: self.hole.shape[0], : self.hole.shape[1]]
         return self.corner + self.texel * (np.stack([x, y], axis=-1) + 0.5)
 
-    def sample(self, values: np.ndarray, places: np.ndarray, *, linear: bool = True) -> np.ndarray:
-        """Values (H, W, ...) of texels at places (..., 2) [m], 0 outside."""
-        at = ((places - self.corner) / self.texel - 0.5).astype(np.float32).reshape(-1, 2)
-        rows = np.full((-(-len(at) // ROW), ROW, 2), -2.0, np.float32)  # cv2.remap takes no row of 32,768 and more
-        rows.reshape(-1, 2)[: len(at)] = at
-        flag = cv2.INTER_LINEAR if linear else cv2.INTER_NEAREST
-        found = cv2.remap(values, rows[..., 0], rows[..., 1], flag, borderMode=cv2.BORDER_CONSTANT)
-        return found.reshape(-1, *values.shape[2:])[: len(at)].reshape(*places.shape[:-1], *values.shape[2:])
+    def sample(self, values: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Values (H, W, ...) of texels at places (..., 2) [m], 0 outside: interpolated, but of a mask the nearest."""
+        return sampled(values, (places - self.corner) / self.texel - 0.5, linear=values.dtype != bool)
 
     @property
     def area(self) -> float:
@@ -238,30 +230,30 @@ def texture_of(
     photographed  True if the cameras took photographs: then a hole is what none of them saw, even if something is
                   rendered there; else a hole is where nothing is rendered.
     """
-    footprint = np.median([_footprint(v, ball) for v in views])
+    # Size [m] of a pixel at the object's distance:
+    footprint = np.median([np.linalg.norm(v.camera.position - ball.centre) / v.camera.fx for v in views])
     count = int(np.clip(2 * REACH * ball.radius / footprint, *TEXELS))
-    nothing = np.zeros((count, count), bool)
-    color = np.zeros((count, count, 3), np.float32)
+    nothing, black = np.zeros((count, count), bool), np.zeros((count, count, 3), np.float32)
     corner, texel = np.full(2, -REACH * ball.radius), 2 * REACH * ball.radius / count
-    texture = SurfaceTexture(surface, corner, texel, color, nothing, nothing)
+    texture = SurfaceTexture(surface, corner, texel, black, nothing, nothing)
     places = texture.places()
     tolerance = max(NEAR_SURFACE * ball.radius, 3 * surface.spread)
     points = surface.points(places)
-    seen = _seen(texture, points, views, tolerance)
-    known, empty = seen.known, seen.empty
+    known, empty, covered, lacking, color = _seen(texture, points, views, tolerance)
     beyond = np.zeros_like(known)
     for other in others:
         beyond |= other.local(points)[..., 2] < 0.5 * texel
-    hole = ~known & ~empty & seen.covered & ~beyond & goes_on(known, empty)
+    hole = ~known & ~empty & covered & ~beyond & goes_on(known, empty)
     if not photographed:
-        hole &= seen.lacking
-    hole = _without_specks(hole)
+        hole &= lacking
+    labels, _ = label(hole)
+    hole &= np.bincount(labels.ravel())[labels] >= HOLE_MIN
     if hole.any():  # its rim is repainted, as the object's colour leaks there
         hole = binary_dilation(hole, iterations=LEAK) & ~empty & ~beyond
     known &= ~hole
     around = binary_dilation(hole, iterations=RIM) & ~hole & ~beyond
     rim = float(known[around].mean()) if around.any() else 1.0
-    color = np.where(known[..., None], seen.color, 0.0).clip(0.0, 1.0).astype(np.float32)
+    color = np.where(known[..., None], color, 0.0).clip(0.0, 1.0).astype(np.float32)
     return replace(texture, color=color, known=known, hole=hole, rim=rim)
 
 
@@ -289,90 +281,52 @@ def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
     return there
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """Masks of texels (H, W) from all views together: the surface is known; is absent; was covered by the object; and
-    was lacking behind the object. The colour (H, W, 3) is that of known texels."""
+def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float):
+    """What all views together show at points (H, W, 3) of a surface, within a tolerance [m].
 
-    known: np.ndarray
-    empty: np.ndarray
-    covered: np.ndarray
-    lacking: np.ndarray
-    color: np.ndarray
-
-
-def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> _Seen:
-    """Combine what the views show at points (H, W, 3) of the surface, within a tolerance [m].
-
-    The colour is taken from the view that shows a texel largest and least slanted.
+    Out.  masks (H, W): the surface is known; is absent; was covered by the object; and was lacking behind the object;
+          the colour (H, W, 3), from the view that shows a texel largest and least slanted
     """
-    shape = texture.hole.shape
-    looking, shown, through, covered, lacking = (np.zeros(shape, np.int32) for _ in range(5))
-    color, best = np.zeros((*shape, 3), np.float32), np.zeros(shape)
+    color, best = np.zeros((*texture.hole.shape, 3), np.float32), np.zeros(texture.hole.shape)
+    counts = np.zeros((5, *texture.hole.shape), np.int32)
     looks = in_threads(lambda view: _look(texture, points, view, tolerance), views)
-    for look, view in zip(looks, views, strict=True):
-        looking += look.inside
-        shown += look.shows
-        through += look.behind
-        covered += look.covered
-        lacking += look.lacks
-        x, y = look.at[..., 0], look.at[..., 1]
-        drawn = cv2.remap(view.color, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        better = look.merit > best
-        color[better], best[better] = drawn[better], look.merit[better]
+    for (masks, merit, at), view in zip(looks, views, strict=True):
+        counts += masks
+        drawn = cv2.remap(view.color, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        better = merit > best
+        color[better], best[better] = drawn[better], merit[better]
+    looking, shown, through, covered, lacking = counts
     known = (shown > through) & (shown > SEEN_SHARE * looking)
     empty = binary_opening(~known & (through > EMPTY_SHARE * looking), iterations=SLIVER)
     past = binary_opening(~known & (through > EMPTY_SHARE * (looking - covered)), iterations=SLIVER)
     empty = binary_propagation(empty, mask=empty | past)  # beside a plinth most views show the object before the air
-    return _Seen(known, empty, covered > COVERED_SHARE * looking, lacking > SURE * covered, color)
+    return known, empty, covered > COVERED_SHARE * looking, lacking > SURE * covered, color
 
 
-@dataclass(frozen=True)
-class _Look:
-    """Masks of texels that one view gives (H, W): in the picture; the surface; something behind it; the object in
-    front of it; and no surface behind the object. `merit` is how large a texel appears, `at` its pixel."""
+def _look(texture: SurfaceTexture, points: np.ndarray, view: HoleView, tolerance: float):
+    """What one view shows at points (H, W, 3) of a surface.
 
-    inside: np.ndarray
-    shows: np.ndarray
-    behind: np.ndarray
-    covered: np.ndarray
-    lacks: np.ndarray
-    merit: np.ndarray
-    at: np.ndarray
-
-
-def _look(texture: SurfaceTexture, points: np.ndarray, view: HoleView, tolerance: float) -> _Look:
-    at, z, cosine = projected(view, points, texture.surface.axes[2])
-    inside = (z > 0) & (cosine > GRAZING)
-
-    alpha = nearest_pixels(view.alpha, at, -1.0)
-    inside &= alpha >= 0
-    touched = binary_dilation(view.object_alpha > TRACE, iterations=1).astype(np.float32)
-    depth_of_object = nearest_pixels(view.object_depth, at, 0.0)
+    Out.  masks (5, H, W): in the picture; the surface; something behind it; the object in front of it; no surface
+          behind the object; how large a texel appears (H, W), 0 where it does not; its pixel (H, W, 2)
+    """
+    at, z = image_positions(view.camera, points)
+    rays = view.camera.position - points
+    away = np.linalg.norm(rays, axis=-1)
+    cosine = rays @ texture.surface.axes[2] / np.maximum(away, 1e-12)
+    alpha = sampled(view.alpha, at, outside=-1.0)
+    inside = (z > 0) & (cosine > GRAZING) & (alpha >= 0)
+    touched = binary_dilation(view.object_alpha > TRACE, iterations=1)
     # The point on the ray of a texel at another depth is off the plane by this:
-    slope = -cosine * np.linalg.norm(points - view.camera.position, axis=-1) / np.maximum(z, 1e-9)
-    before = (nearest_pixels(touched, at, 0.0) > 0) & ((depth_of_object - z) * slope > -tolerance)
-    height = (nearest_pixels(view.depth, at, 0.0) - z) * slope
+    slope = -cosine * away / np.maximum(z, 1e-9)
+    before = (sampled(touched, at) > 0) & ((sampled(view.object_depth, at) - z) * slope > -tolerance)
+    height = (sampled(view.depth, at) - z) * slope
     solid = alpha > SOLID
     shows = inside & ~before & solid & (np.abs(height) < tolerance)
     behind = inside & ~before & (~solid | (height < -2 * tolerance))
     covered = inside & before
     lacks = covered & (~solid | (height < -tolerance))
     merit = np.where(shows, cosine / np.maximum(z / view.camera.fx, 1e-12), 0.0)
-    return _Look(inside, shows, behind, covered, lacks, merit.astype(np.float32), at)
-
-
-def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions for cv2.remap (..., 2) float32 of points (..., 3), their depth z [m], and the cosine of the view."""
-    at, z = image_positions(view.camera, points)
-    rays = view.camera.position - points
-    cosine = rays @ normal / np.maximum(np.linalg.norm(rays, axis=-1), 1e-12)
-    return at, z, cosine
-
-
-def _footprint(view: HoleView, ball: Surroundings) -> float:
-    """Size [m] of a pixel at the object's distance."""
-    return float(np.linalg.norm(view.camera.position - ball.centre)) / view.camera.fx
+    return np.stack([inside, shows, behind, covered, lacks]), merit.astype(np.float32), at
 
 
 def shows_colors(texture: SurfaceTexture, colors: np.ndarray) -> np.ndarray:
@@ -384,9 +338,3 @@ def shows_colors(texture: SurfaceTexture, colors: np.ndarray) -> np.ndarray:
     hues = shown / np.maximum(np.linalg.norm(shown, axis=1, keepdims=True), 1e-6)
     off = (colors**2).sum(axis=1, keepdims=True) - (colors @ hues.T).clip(0.0) ** 2
     return (off < HUE**2).mean(axis=1) > COMMON
-
-
-def _without_specks(hole: np.ndarray) -> np.ndarray:
-    labels, _ = label(hole)
-    sizes = np.bincount(labels.ravel())
-    return hole & (sizes[labels] >= HOLE_MIN)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from assets.gaussians import Gaussians
-from core.camera import Camera, look_at, perspective
+from core.camera import Camera, directions_around, look_at, perspective
 from core.morton import morton_order
 from prepare.blending_weights import BlendingWeights
 from prepare.segment.graph_cut import (
@@ -67,33 +67,24 @@ class ViewsAround:
 
     def shares(self, gaussians: Gaussians) -> np.ndarray:
         """Visible share (VIEWS, N) float32, 0..1, of each Gaussian in each view."""
-        n = len(gaussians)
-        self._load(gaussians)
+        n, plain = len(gaussians), gaussians.with_sh_degree(0)
+        if n <= self._room:
+            self._weights.replace(plain)
+        else:
+            self.destroy()
+            self._room = max(ROOM, 1 << (n - 1).bit_length())
+            self._weights = BlendingWeights(plain, sort="z", capacity=self._room)
         middle = 0.5 * (gaussians.means.min(axis=0) + gaussians.means.max(axis=0)).astype(np.float64)
         radius = np.linalg.norm(gaussians.means - middle, axis=1).max()
-        k = np.arange(VIEWS) + 0.5
-        height, turn = 1.0 - 2.0 * k / VIEWS, np.pi * (1 + 5**0.5) * k
-        level = np.sqrt(1.0 - height**2)
-        ways = np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
         everywhere = [np.ones((PICTURE, PICTURE), np.float32)]
         sigma, means = gaussians.covariances, gaussians.means.astype(np.float64)
         shares = np.empty((VIEWS, n), np.float32)
-        for view, way in enumerate(ways):
+        for view, way in enumerate(directions_around(VIEWS)):
             eye = middle + DISTANCE * radius * way
             camera = perspective(PICTURE, PICTURE, 2.0 * np.arcsin(1.0 / DISTANCE), look_at(eye, middle))
             seen = self._weights.sums(camera, everywhere)[:n, 0]
             shares[view] = seen / free_weights(means, sigma, gaussians.opacities, camera, way)
         return shares.clip(0.0, 1.0, out=shares)
-
-    def _load(self, gaussians: Gaussians) -> None:
-        """Draw these Gaussians."""
-        plain = gaussians.with_sh_degree(0)
-        if len(plain) <= self._room:
-            self._weights.replace(plain)
-        else:
-            self.destroy()
-            self._room = max(ROOM, 1 << (len(plain) - 1).bit_length())
-            self._weights = BlendingWeights(plain, sort="z", capacity=self._room)
 
     def destroy(self) -> None:
         """Free the device memory."""

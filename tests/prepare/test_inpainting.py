@@ -169,7 +169,7 @@ def test_without_photographs_what_is_drawn_there_stays(ti_cpu):
 
 
 def test_an_object_in_the_air_has_no_surface():
-    views = [noisy_view(k, c, noise=0.0) for k, c in enumerate(cameras())]
+    views = noisy_views(cameras(), 0.0)
     sphere = Surroundings(np.array([0.0, 1.6 * RADIUS, 0.0]), RADIUS)
     assert support_surfaces(views, ball(height=1.6 * RADIUS).means, sphere, np.random.default_rng(0)) == []
 
@@ -206,13 +206,24 @@ def noisy_view(
     return HoleView(index, camera, *(p.astype(np.float32) for p in pictures))
 
 
+SPHERE = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
+
+
+def noisy_views(cameras: list, noise: float, **options) -> list[HoleView]:
+    return [noisy_view(k, camera, noise, **options) for k, camera in enumerate(cameras)]
+
+
+def surfaces_under(views: list[HoleView], means: np.ndarray | None = None) -> list[SupportSurface]:
+    """Support surfaces of the ball, or of points of it."""
+    return support_surfaces(views, ball().means if means is None else means, SPHERE, np.random.default_rng(0))
+
+
 def test_a_small_object_on_a_noisy_surface_has_one_hole():
     """Noise of the depth makes no further planes, and a narrow dent around the foot is no end of the surface."""
-    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    views = [noisy_view(k, c, noise=0.012, dent=0.006) for k, c in enumerate(cameras())]
-    surfaces = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
+    views = noisy_views(cameras(), 0.012, dent=0.006)
+    surfaces = surfaces_under(views)
     assert len(surfaces) == 1 and surfaces[0].axes[2][1] > 0.995
-    texture = texture_of(surfaces[0], [], views, sphere, photographed=True)
+    texture = texture_of(surfaces[0], [], views, SPHERE, photographed=True)
     places = texture.surface.points(texture.places())
     away = np.linalg.norm(places[..., [0, 2]], axis=-1)
     assert texture.hole[away < 0.3 * RADIUS].all()
@@ -221,47 +232,39 @@ def test_a_small_object_on_a_noisy_surface_has_one_hole():
 
 def test_known_texels_have_the_colour_of_the_surface():
     """None is dark, not those at a picture's edge either."""
-    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    cuts = [cut_out_camera(c, sphere) for c in cameras()]
-    views = [noisy_view(k, c, noise=0.004) for k, c in enumerate(cuts)]
-    surface, *_ = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
-    texture = texture_of(surface, [], views, sphere, photographed=True)
+    views = noisy_views([cut_out_camera(c, SPHERE) for c in cameras()], 0.004)
+    surface, *_ = surfaces_under(views)
+    texture = texture_of(surface, [], views, SPHERE, photographed=True)
     assert texture.known.any() and np.abs(texture.color[texture.known] - 0.5).max() < 1e-3
 
 
 def test_an_object_stands_on_the_plinth_that_it_touches():
     """Not on the larger ground beside it."""
-    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    views = [noisy_view(k, c, noise=0.002, plinth=(RADIUS, 0.2 * RADIUS)) for k, c in enumerate(cameras())]
-    top, *_ = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
+    top, *_ = surfaces_under(noisy_views(cameras(), 0.002, plinth=(RADIUS, 0.2 * RADIUS)))
     assert top.axes[2][1] > 0.99 and abs(top.local(np.zeros(3))[2]) < 0.06 * RADIUS
 
 
 def test_what_stands_on_a_narrow_plinth_leaves_no_hole_beside_it():
     """Most views of the air there show the ball before it; the few that look past it tell."""
-    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    views = [noisy_view(k, c, noise=0.002, plinth=(0.4 * RADIUS, RADIUS)) for k, c in enumerate(cameras()[:5])]
+    views = noisy_views(cameras()[:5], 0.002, plinth=(0.4 * RADIUS, RADIUS))
     top = SupportSurface(np.zeros(3), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), 0.002)
-    texture = texture_of(top, [], views, sphere, photographed=True)
+    texture = texture_of(top, [], views, SPHERE, photographed=True)
     away = np.linalg.norm(texture.surface.points(texture.places())[..., [0, 2]], axis=-1)
     assert texture.hole[away < 0.25 * RADIUS].all() and not texture.hole[away > 0.5 * RADIUS].any()
 
 
 def test_a_part_of_the_surface_that_went_with_the_object_is_told_from_it():
     """A ball whose masks took along the middle of the plinth's top: its rim alone is less than the ground beside it."""
-    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    views = [
-        noisy_view(k, c, noise=0.002, plinth=(RADIUS, 0.2 * RADIUS), torn=0.8 * RADIUS) for k, c in enumerate(cameras())
-    ]
+    views = noisy_views(cameras(), 0.002, plinth=(RADIUS, 0.2 * RADIUS), torn=0.8 * RADIUS)
     x, z = (a.ravel() for a in np.mgrid[-1:1:25j, -1:1:25j] * 0.8 * RADIUS)
     slab = np.stack([x, 0.0 * x, z], axis=1)[np.hypot(x, z) < 0.8 * RADIUS]
     means = np.concatenate([ball().means[ball().means[:, 1] > 0.1 * RADIUS], slab])
-    top, *_ = support_surfaces(views, means, sphere, np.random.default_rng(0))
+    top, *_ = surfaces_under(views, means)
     assert top.axes[2][1] > 0.999 and abs(top.local(np.zeros(3))[2]) < 0.02 * RADIUS
-    part = part_of_surface(means, top, sphere)
+    part = part_of_surface(means, top, SPHERE)
     assert part[-len(slab) :].mean() > 0.9 and part[: -len(slab)].mean() < 0.05
-    assert not part_of_surface(ball().means, top, sphere).any()  # nor is a round underside
-    assert not part_of_surface(slab, top, sphere).any()  # a flat object is no part of what it lies on
+    assert not part_of_surface(ball().means, top, SPHERE).any()  # nor is a round underside
+    assert not part_of_surface(slab, top, SPHERE).any()  # a flat object is no part of what it lies on
 
 
 def test_a_surface_shows_its_colours_in_any_shade():
@@ -296,36 +299,33 @@ def test_a_far_background_seen_through_the_table_does_not_spoil_its_depth(ti_cpu
     thin, far = table(), ball(height=0.0)
     thin = replace(thin, logit_opacities=np.full_like(thin.logit_opacities, 1.0))
     far = replace(far, means=150.0 * far.means, log_scales=np.full_like(far.log_scales, np.log(2.0)))
-    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    views = draw_views(concatenate([thin, far]), ball(), cameras(), sphere, no_progress)
+    views = draw_views(concatenate([thin, far]), ball(), cameras(), SPHERE, no_progress)
     for view in views:
         y, x = np.nonzero(view.object_alpha < 0.01)
         at, eye = view.camera.points_at(view.depth, x, y), view.camera.position
         exact = eye + (at - eye) * (eye[1] / (eye[1] - at[:, 1]))[:, None]  # of the same ray, on the table
-        near = np.linalg.norm(exact - sphere.centre, axis=1) < 2.0 * RADIUS
+        near = np.linalg.norm(exact - SPHERE.centre, axis=1) < 2.0 * RADIUS
         assert near.sum() > 300 and np.abs(at[near, 1]).max() < 0.1 * RADIUS
 
 
 def test_an_object_whose_underside_no_camera_saw_stands_level():
-    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    views = [noisy_view(k, c, noise=0.004) for k, c in enumerate(cameras())]
     means = ball().means
-    surface, *_ = support_surfaces(views, means[means[:, 1] > 0.45 * RADIUS], sphere, np.random.default_rng(0))
+    surface, *_ = surfaces_under(noisy_views(cameras(), 0.004), means[means[:, 1] > 0.45 * RADIUS])
     assert surface.axes[2][1] > 0.998 and abs(surface.local(np.zeros(3))[2]) < 0.03 * RADIUS
 
 
 def test_cut_out_cameras_show_the_same_rays():
-    sphere = Surroundings(np.array([0.0, 0.1, 0.0]), 0.05)
+    small = Surroundings(np.array([0.0, 0.1, 0.0]), 0.05)
     for camera in cameras():
-        cut = cut_out_camera(camera, sphere)
+        cut = cut_out_camera(camera, small)
         assert cut.width < camera.width
-        for point in sphere.centre + 0.05 * np.random.default_rng(1).normal(size=(5, 3)):
+        for point in small.centre + 0.05 * np.random.default_rng(1).normal(size=(5, 3)):
             x, _, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
             shift = [(c.cx + c.fx * x / z) % 1 for c in (camera, cut)]
             assert shift[0] == pytest.approx(shift[1], abs=1e-6)
             assert 0 < cut.cx + cut.fx * x / z < cut.width
     behind = perspective(112, 84, 0.75, look_at((0.0, 0.1, 3.0), (0.0, 0.1, 9.0)))
-    assert cut_out_camera(behind, sphere) is None
+    assert cut_out_camera(behind, small) is None
 
 
 def write_scene(folder):

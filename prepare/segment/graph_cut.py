@@ -21,14 +21,11 @@ GAP_STRENGTH = 0.25  # half of 0.5: distances use the sum of two covariances, an
 WIDTH_STRENGTH = 2.0  # power of the ratio of two widths: ground under a foot is of wider Gaussians
 
 
-def random_walk(
-    graph: csr_matrix, seeds: np.ndarray, labels: int, *, evidence: np.ndarray | None = None, leak: float = 0.0
-) -> np.ndarray:
+def random_walk(graph: csr_matrix, seeds: np.ndarray, labels: int, *, leak: float = 0.0) -> np.ndarray:
     """Probability (N, labels) that a random walker along the edges meets a seed of each label first.   Grady 2006
 
-    seeds     labels (N,) of the seeds, -1: none
-    evidence  (N, labels) weights of edges from each node to a seed of each label
-    leak      of a node's weights, to label 0: decides where no seed is connected
+    seeds  labels (N,) of the seeds, -1: none
+    leak   of a node's weights, to label 0: decides where no seed is connected
     """
     result = np.zeros((len(seeds), labels))
     fixed = seeds >= 0
@@ -37,11 +34,10 @@ def random_walk(
     if not len(free):
         return result
     edges = graph[free]
-    extra = np.zeros((len(free), labels)) if evidence is None else evidence[free]
-    degree = np.asarray(edges.sum(axis=1)).ravel() * (1.0 + leak) + extra.sum(axis=1) + ISOLATED
+    degree = np.asarray(edges.sum(axis=1)).ravel() * (1.0 + leak) + ISOLATED
     within, outwards = (diags(degree) - edges[:, free]).tocsr(), edges[:, np.flatnonzero(fixed)]
     for k in range(1, labels):
-        result[free, k] = solved(within, outwards @ result[fixed, k] + extra[:, k]).clip(0.0, 1.0)
+        result[free, k] = solved(within, outwards @ result[fixed, k]).clip(0.0, 1.0)
     result[free, 0] = (1.0 - result[free, 1:].sum(axis=1)).clip(0.0, 1.0)
     return result / result.sum(axis=1, keepdims=True)
 

@@ -88,23 +88,9 @@ def cut_objects(picture: np.ndarray, likely: np.ndarray, unsure: np.ndarray, rea
         core = own & ~near
         if not core.any():
             core = likely[at][..., k] > 0.9 * likely[at][..., k].max()
-        inside = _with_core(cut(picture[at], likely[at][..., k], core, ~own & ~near), own)
+        inside = cut(picture[at], likely[at][..., k], core, ~own & ~near)
         found[at][..., k] = np.where(inside, 0.5 + likely[at][..., k], 0.0)
     return np.where(found.max(axis=2) > 0, found.argmax(axis=2), 0).astype(np.uint8)
-
-
-def _with_core(inside: np.ndarray, core: np.ndarray) -> np.ndarray:
-    """The parts of a mask that touch a core, with small holes filled."""
-    count, part = cv2.connectedComponents(inside.astype(np.uint8), connectivity=8)
-    size = np.bincount(part.ravel(), minlength=count)
-    touched = np.bincount(part[core & inside], minlength=count)
-    keep = touched > 0.3 * size
-    keep[0] = False
-    result = keep[part]
-    count, hole, stats, _ = cv2.connectedComponentsWithStats((~result).astype(np.uint8), connectivity=4)
-    small = stats[:, cv2.CC_STAT_AREA] < max(PIXELS_MIN, 0.002 * result.sum())
-    small[0] = False
-    return result | small[hole]
 
 
 class MarkPropagation:
@@ -156,13 +142,12 @@ class MarkPropagation:
         seeds[np.linalg.norm(cloud.points - centre, axis=1) > RIM * radius] = 0
         behind = planes_behind(cloud, everything, np.random.default_rng(0))
         seeds[behind] = 0
-        for points in self._outside_points():
-            seeds[self._nearest(points)] = 0
-        for k, points in enumerate(places.values()):
-            nearest = self._nearest(points)
-            if not len(nearest):
-                raise BadInput(f"{self.names[k]!r}: its marks lie where the views show no surface")
-            seeds[nearest] = k + 1
+        for k, strokes in self._strokes.items():
+            for mask in (mask for label, mask in strokes if label == 0):
+                y, x = np.nonzero(mask & (self.depths[k] > 0))
+                seeds[self._nearest(self.cameras[k].points_at(self.depths[k], x, y))] = 0
+        for label, points in enumerate(places.values(), 1):
+            seeds[self._nearest(points)] = label
         report("surface", 0.5)
         self.labels = spread(cloud, seeds, len(self.names) + 1, behind)
         self._apply_boxes()
@@ -287,8 +272,7 @@ class MarkPropagation:
             for label, mask in drawn.items():
                 y, x = np.nonzero(mask & (self.depths[k] > 0))
                 own = _one_surface(self.depths[k][y, x])
-                y, x = y[own], x[own]
-                places[self.names[label - 1]].append(self.cameras[k].points_at(self.depths[k], x, y))
+                places[self.names[label - 1]].append(self.cameras[k].points_at(self.depths[k], x[own], y[own]))
         found = {name: np.concatenate(p) if p else np.zeros((0, 3)) for name, p in places.items()}
         for name, points in found.items():
             if not len(points):
@@ -302,14 +286,6 @@ class MarkPropagation:
         side = max(1, round(0.1 * np.sqrt(box.sum())))
         core = cv2.erode((inside & box).astype(np.uint8), np.ones((side, side), np.uint8)) > 0
         return core if core.any() else inside & box
-
-    def _outside_points(self):
-        """Points (N, 3) under the strokes outside of objects, view by view."""
-        for k, strokes in self._strokes.items():
-            for label, mask in strokes:
-                if label == 0:
-                    y, x = np.nonzero(mask & (self.depths[k] > 0))
-                    yield self.cameras[k].points_at(self.depths[k], x, y)
 
     def _nearest(self, points: np.ndarray) -> np.ndarray:
         """Indices of the cloud's points at given points."""

@@ -10,9 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_matrix, csr_matrix, diags
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians
@@ -33,11 +31,6 @@ COLOR_STEP = 0.13  # difference of colours in 0..1 that divides the weight of an
 COLOR_MOST = 3.5  # largest such exponent: objects have stripes
 OFF_PLANE = 3.0  # exponent for an edge between a supporting plane and a point off it
 CONCAVE, CONVEX = 6.0, 1.0  # exponents for a crease of 90 degrees
-COLOR_BINS, COLOR_BLUR, COLOR_FLOOR = 20, 1.0, 0.05  # per channel; in bins; relative to the mean share of a colour
-COLOR_WEIGHT, COLOR_ROUNDS = 0.05, 2  # weight of colour evidence relative to an edge; rounds in which it is learned
-COLOR_SURE = 0.85  # probability from which a colour is evidence: wood on wood is not
-OTHER_SURE = 0.1  # points with a lower probability of the object are examples of its surroundings
-NEARBY = 0.6  # object sizes around an object in which colours are compared
 LEAK = 1e-6  # of a point's weights, to the background: decides where no seed is connected
 PLANE_TRIES, PLANE_SHARE, PLANES_MAX = 300, 0.06, 4
 PLANE_STEPS = 1.0  # spacings of the cloud: a nearer point lies on the plane
@@ -153,45 +146,7 @@ def spread(cloud: SurfaceCloud, seeds: np.ndarray, labels: int, behind: np.ndarr
     side = diags(np.where(behind, 1.0, -1.0))
     across = 0.5 * (cloud.graph - side @ cloud.graph @ side)  # the edges with one end on a plane
     graph = (cloud.graph - (1.0 - np.exp(-OFF_PLANE)) * across).tocsr()
-    result = random_walk(graph, seeds, labels, leak=LEAK)
-    for _ in range(COLOR_ROUNDS):
-        evidence = COLOR_WEIGHT * _color_evidence(cloud, result)
-        result = random_walk(graph, seeds, labels, evidence=evidence, leak=LEAK)
-    return _connected(graph, result, seeds)
-
-
-def _color_evidence(cloud: SurfaceCloud, likely: np.ndarray) -> np.ndarray:
-    """Evidence (P, labels) for each object near it: colours that the object has and its surroundings lack."""
-    evidence, label = np.zeros_like(likely), likely.argmax(axis=1)
-    index = np.ravel_multi_index((cloud.colors * (COLOR_BINS - 1e-6)).astype(int).T, (COLOR_BINS,) * 3)
-    for k in range(1, likely.shape[1]):
-        own = label == k
-        if not own.any():
-            continue
-        reach = NEARBY * np.linalg.norm(np.ptp(cloud.points[own], axis=0))
-        near = np.isfinite(cKDTree(cloud.points[own]).query(cloud.points, distance_upper_bound=reach)[0])
-        share = []
-        for part in (near & (likely[:, k] < OTHER_SURE), own):
-            counts = np.bincount(index[part], minlength=COLOR_BINS**3).reshape((COLOR_BINS,) * 3).astype(float)
-            share.append(gaussian_filter(counts, COLOR_BLUR).ravel()[index] / max(part.sum(), 1))
-        floor = COLOR_FLOOR * np.median(share[1][own])
-        thing = (share[1] + floor) / (share[0] + share[1] + 2 * floor)
-        which = likely[:, k] / likely[:, 1:].sum(axis=1).clip(1e-12)  # of the objects: that, colours do not say
-        evidence[:, k] = ((thing - COLOR_SURE) / (1 - COLOR_SURE)).clip(0, 1) * which**2 * near
-    return evidence
-
-
-def _connected(graph: csr_matrix, likely: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """The probabilities, with connected parts of an object that hold none of its seeds given to the background."""
-    label, result = likely.argmax(axis=1), likely.copy()
-    for k in range(1, likely.shape[1]):
-        own = np.flatnonzero(label == k)
-        if len(own):
-            _, part = connected_components(graph[own][:, own], directed=False)
-            lost = own[~np.isin(part, part[seeds[own] == k])]
-            result[lost, 0] += result[lost, k]
-            result[lost, k] = 0.0
-    return result
+    return random_walk(graph, seeds, labels, leak=LEAK)
 
 
 def planes_behind(cloud: SurfaceCloud, marked: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -229,15 +229,6 @@ def test_a_border_costs_the_likeness_across_it_where_a_view_shows_it():
     assert 0.6 < 1000 * border_costs(low, high, np.zeros(4), np.ones((1, 5)))[0] < 1.7
 
 
-def test_what_was_selected_once_is_kept(scene, views, monkeypatch):
-    g, true = scene
-    selection, top = SplatSelection(g, views), g.means[:, 1] > 0.28
-    seeds = top & (true == 1), top & (true == 2)
-    one = selection.select(*seeds)
-    monkeypatch.delattr(SplatSelection, "_selected")
-    np.testing.assert_array_equal(selection.select(*seeds), one)
-
-
 def test_a_thinned_splat_is_cut_as_all_of_it_along_the_border(scene, views, monkeypatch):
     """Of 6600 Gaussians 1000 say where the border is about, and those along it where it is."""
     g, true = scene
@@ -357,16 +348,20 @@ def test_halves_have_the_moments_of_the_cut_distribution():
         np.testing.assert_allclose(full_matrices(part.covariances)[0], np.cov(x[here].T), atol=1e-3)
 
 
+def plane_in_halves(size: float) -> tuple[Gaussians, np.ndarray]:
+    """A level square of Gaussians of this width in rows 5 cm apart, and which of them lie to the left of x = 0."""
+    g = plane(41, 1.0, size, (0.5, 0.5, 0.5)).transformed(np.eye(3), (0.025, 0.0, 0.0))
+    return g, g.means[:, 0] < 0
+
+
 def test_a_wide_gaussian_over_the_border_is_cut_in_two():
-    """A plane of two halves, and one Gaussian of the left half that reaches far into the right one."""
-    x, z = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
-    points = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1) + [0.025, 0, 0]
-    g = surfels(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), 0.02, (0.5, 0.5, 0.5))
+    """One Gaussian of the left half that reaches far into the right one."""
+    g, left = plane_in_halves(0.02)
     scales = g.log_scales.copy()
-    wide = int(np.argmin(np.linalg.norm(points - [-0.025, 0.0, 0.0], axis=1)))
+    wide = int(np.argmin(np.linalg.norm(g.means - [-0.025, 0.0, 0.0], axis=1)))
     scales[wide, :2] = np.log(0.2)
     g = Gaussians.of(g.means, g.quats, scales, g.logit_opacities, g.sh)
-    whole, left, _ = trimmed(g, points[:, 0] < 0)
+    whole, left, _ = trimmed(g, left)
     assert left[wide] and not left[-1]
     reach = whole.means[:, 0] + 2 * np.sqrt(whole.covariances[:, 0])
     assert reach[left].max() < 0.25 < g.means[wide, 0] + 2 * 0.2
@@ -375,13 +370,11 @@ def test_a_wide_gaussian_over_the_border_is_cut_in_two():
 
 
 def test_gaussians_that_only_touch_the_border_are_not_cut():
-    """Of rows 5 cm apart, 8 cm wide each, only the two beside the border straddle it; the next ones reach it, too."""
-    x, z = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
-    points = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1) + [0.025, 0, 0]
-    g = surfels(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), 0.08, (0.5, 0.5, 0.5))
-    which, normal, _ = straddlers(g, points[:, 0] < 0)
-    assert len(which) == 82 and np.abs(points[which, 0]).max() < 0.03
-    assert (np.sign(normal[:, 0]) == np.sign(points[which, 0])).all()
+    """Of rows 8 cm wide each, only the two beside the border straddle it; the next ones reach it, too."""
+    g, left = plane_in_halves(0.08)
+    which, normal, _ = straddlers(g, left)
+    assert len(which) == 82 and np.abs(g.means[which, 0]).max() < 0.03
+    assert (np.sign(normal[:, 0]) == np.sign(g.means[which, 0])).all()
 
 
 def test_marks_and_cameras_are_read_as_they_were_written(tmp_path):

@@ -14,7 +14,7 @@ from core.point_location import TetLocator
 from core.tetmesh import tet_volumes
 from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import smallest_angle
-from prepare.cage.relaxation import DESCENT_STEPS, Descent, relax
+from prepare.cage.relaxation import DESCENT_STEPS, relax
 from prepare.cage.sizing_field import WIDTH_STEP, ShapeWidths, lattice_of, levels_of
 from prepare.cage.stuffing import stuff
 
@@ -189,9 +189,9 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exa
     cage, steps, lift = found.cage, DESCENT_STEPS, None
     if not (tet_volumes(cage.vertices, cage.tets) > 0).all():
         return cage, fault(cage, filled, 0.0, vertices, exact)
-    descent = Descent(cage.tets, len(cage.vertices), DistanceGrid(found.phi, np.zeros(3), 1.0))
+    distance = DistanceGrid(found.phi, np.zeros(3), 1.0)
     for growth in GROWTHS + (() if exact else INEXACT_GROWTHS):
-        cage = relax(cage, descent, whole * (1 + growth), lift=lift, steps=steps)
+        cage = relax(cage, distance, whole * (1 + growth), lift=lift, steps=steps)
         outside = points[TetLocator(cage.vertices, cage.tets).find(points) < 0]
         inside = 1 - len(outside) / max(len(points), 1)
         reason = fault(cage, filled, inside, vertices, exact)

@@ -7,28 +7,22 @@ dihedral angle rises from about 12 to about 17 degrees.
 """
 
 import numpy as np
-import taichi as ti
 
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
 from core.tetmesh import tet_volumes
 from prepare.cage.level_set import areas
-from prepare.cage.mesh_quality import (
-    Matrix,
-    QualityEnergy,
-    Vector,
-    device_array,
-    dihedral_cosines,
-    smallest_angle,
-)
+from prepare.cage.mesh_quality import dihedral_cosines, quality_energy, smallest_angle
 
 DESCENT_STEPS = 30  # of descent; 20 bring most of the substep, the others better angles
 MAX_TRAVEL = 0.35  # lattice cells a vertex may move by descent
 FIRST_STEP, LAST_STEP = 0.05, 1e-4  # lattice cells
 FULL_STEP_PERCENTILE = 95  # vertices with larger gradients take the full step, the others one in proportion
-INTERIOR = 2.0**100  # the level of a vertex that does not lie on the surface; float32 holds it exactly
 MAX_OFFSET = 0.2  # lattice cells the surface may be moved to reach a volume
-SMALL_QUANTILE = 0.05  # of the volumes; where cells are alike, the cut tets of the surface, a quarter of the others
+SMALL_QUANTILE = (
+    0.05  # of the volumes, a quarter of a small tet's: of tets up to that only kappa counts. Where cells are
+)
+# alike these are the cut tets of the surface, a quarter of the others.
 MIN_ANGLE = 12.0  # [degrees] the descent is undone if an angle fell below this and below the smallest before
 MIN_SLOPE2 = 0.25  # squared: a distance has slope 1, less on its ridges
 
@@ -38,9 +32,6 @@ SEARCH_STEPS = (0.02, 0.06, 0.15)  # cells
 _neighbours = np.delete(np.indices((3, 3, 3)).reshape(3, -1).T - 1.0, 13, axis=0)  # all 26, without the middle
 _directions = _neighbours / np.linalg.norm(_neighbours, axis=1, keepdims=True)
 SEARCH_OFFSETS = np.concatenate([s * _directions for s in SEARCH_STEPS])  # (78, 3) [cells]
-
-vec3 = ti.types.vector(3, ti.f64)
-Values = ti.types.ndarray(ti.f32, ndim=3)
 
 
 def project(distance: DistanceGrid, points: np.ndarray, level: np.ndarray) -> np.ndarray:
@@ -52,88 +43,39 @@ def project(distance: DistanceGrid, points: np.ndarray, level: np.ndarray) -> np
     return points - ((distance.sample(points) - level) / slope2)[:, None] * gradient
 
 
-@ti.func
-def distance_at(values: ti.template(), origin, spacing, p):
-    """Signed distance at p, trilinear; beyond the grid that of its border."""
-    last = vec3(values.shape[0] - 1, values.shape[1] - 1, values.shape[2] - 1)
-    u = ti.min(ti.max((p - origin) / spacing, 0.0), last)
-    i = ti.min(ti.cast(ti.floor(u), ti.i32), ti.cast(last, ti.i32) - 1)
-    f = u - ti.cast(i, ti.f64)
-    found = ti.cast(0.0, ti.f64)
-    for a, b, c in ti.static(ti.ndrange(2, 2, 2)):
-        weight = (f[0] if a else 1 - f[0]) * (f[1] if b else 1 - f[1]) * (f[2] if c else 1 - f[2])
-        found += weight * values[i[0] + a, i[1] + b, i[2] + c]
-    return found
+def descended(
+    x: np.ndarray, tets: np.ndarray, distance: DistanceGrid, outer: np.ndarray, level: np.ndarray, width, steps: int
+) -> np.ndarray:
+    """Positions x (V, 3) after at most `steps` steps of gradient descent of the quality energy.
 
-
-@ti.kernel
-def _step(
-    x: Matrix, gradient: Matrix, start: Matrix, width: Vector, level: Vector, values: Values, origin: vec3,
-    spacing: ti.f64, step: ti.f64, full: ti.f64, max_travel: ti.f64, moved: Matrix,
-):  # fmt: skip
-    """Out: moved = x against the gradient, projected onto its level, at most `max_travel` cells from the start."""
-    for v in width:
-        p = vec3(x[v, 0], x[v, 1], x[v, 2])
-        direction = width[v] * vec3(gradient[v, 0], gradient[v, 1], gradient[v, 2])
-        p -= step * width[v] * direction / ti.max(direction.norm(), full)
-        if level[v] < INTERIOR:  # one Newton step, as `project`
-            slope = vec3(0.0, 0.0, 0.0)
-            for d in ti.static(range(3)):
-                h = vec3(0.0, 0.0, 0.0)
-                h[d] = 0.5 * spacing
-                slope[d] = (
-                    distance_at(values, origin, spacing, p + h) - distance_at(values, origin, spacing, p - h)
-                ) / spacing
-            off = distance_at(values, origin, spacing, p) - level[v]
-            p -= off / ti.max(slope.norm_sqr(), MIN_SLOPE2) * slope
-        from_start = p - vec3(start[v, 0], start[v, 1], start[v, 2])
-        travel = from_start.norm()
-        if travel > max_travel * width[v]:
-            p -= (1 - max_travel * width[v] / travel) * from_start
-        for d in ti.static(range(3)):
-            moved[v, d] = p[d]
-
-
-class Descent:
-    """Gradient descent of QualityEnergy for given tets (T, 4) in a given signed distance. Taichi must be running."""
-
-    def __init__(self, tets: np.ndarray, count: int, distance: DistanceGrid) -> None:
-        self.quality, self.distance = QualityEnergy(tets, count), distance
-        self._values = ti.ndarray(ti.f32, distance.shape)
-        self._values.from_numpy(np.ascontiguousarray(distance.values, np.float32))
-        self._place = vec3(*map(float, distance.origin)), float(distance.spacing)
-
-    def run(self, x: np.ndarray, outer: np.ndarray, level: np.ndarray, width: np.ndarray, small: float, steps: int):
-        """Positions x (V, 3) after at most `steps` steps.
-
-        outer, level  vertices that stay on the surface (M,), and the level set each stays on (M,)
-        width         width of a cell at each vertex (V,)
-        small         volume of a small tet: tets of that size and smaller count as much as their kappa
-        """
-        quality = self.quality
-        start, now, moved = (quality.vectors(x) for _ in range(3))
-        slope, other = quality.vectors(), quality.vectors()
-        quality.energy(now, slope, 1.0)
-        volume, kappa = quality.volume.to_numpy(), quality.kappa.to_numpy()
-        unit = float(np.median(kappa * np.maximum(1, volume / small) ** (2 / 3)))
-        total = quality.energy(now, slope, unit)
-        levels = np.full(len(x), INTERIOR)
-        levels[outer] = level
-        fixed = device_array(ti.f64, width), device_array(ti.f64, levels), self._values, *self._place
-        step = FIRST_STEP
-        for _ in range(steps):
-            full = float(np.percentile(np.linalg.norm(slope.to_numpy(), axis=1) * width, FULL_STEP_PERCENTILE))
-            while step > LAST_STEP:
-                _step(now, slope, start, *fixed, step, full, MAX_TRAVEL, moved)
-                energy = quality.energy(moved, other, unit)
-                if energy < total:
-                    break
-                step /= 2
-            else:
+    outer, level  vertices that stay on the surface (M,), and the level set each stays on (M,)
+    width         width of a cell at each vertex (V,)
+    """
+    start, width, volume = x, width[:, None], tet_volumes(x, tets)
+    kappa = quality_energy(x, tets, 1.0)[2]
+    small = 4 * np.quantile(volume, SMALL_QUANTILE)  # in graded cages the smallest tets have the largest kappa
+    unit = float(np.median(kappa * np.maximum(1, volume / small) ** (2 / 3)))
+    total, gradient, _ = quality_energy(x, tets, unit)
+    step = FIRST_STEP
+    for _ in range(steps):
+        slope = width * gradient
+        length = np.linalg.norm(slope, axis=1, keepdims=True)
+        full = max(np.percentile(length, FULL_STEP_PERCENTILE), 1e-300)
+        while step > LAST_STEP:
+            moved = x - step * width * slope / np.maximum(length, full)
+            moved[outer] = project(distance, moved[outer], level)
+            travel = moved - start
+            far, most = np.linalg.norm(travel, axis=1, keepdims=True), MAX_TRAVEL * width
+            moved -= (1 - most / np.maximum(far, most)) * travel
+            energy, other, _ = quality_energy(moved, tets, unit)
+            if energy < total:
                 break
-            now, moved, slope, other, total = moved, now, other, slope, energy
-            step = min(1.5 * step, 2 * FIRST_STEP)
-        return now.to_numpy()
+            step /= 2
+        else:
+            break
+        x, gradient, total = moved, other, energy
+        step = min(1.5 * step, 2 * FIRST_STEP)
+    return x
 
 
 def cell_widths(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -144,15 +86,20 @@ def cell_widths(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 def relax(
-    cage: Cage, descent: Descent, volume: float, *, lift: np.ndarray | None = None, steps: int = DESCENT_STEPS
+    cage: Cage,
+    distance: DistanceGrid,
+    volume: float,
+    *,
+    lift: np.ndarray | None = None,
+    steps: int = DESCENT_STEPS,
 ) -> Cage:
     """The same tets with vertices moved, for a longer stable substep.
 
-    descent  of these tets, in the signed distance that the cage was stuffed from
-    volume   the surface is moved along its normal until the cage has about this volume
-    lift     distance each vertex (V,) of the surface moves outwards before that; None: 0
+    distance  that the cage was stuffed from
+    volume    the surface is moved along its normal until the cage has about this volume
+    lift      distance each vertex (V,) of the surface moves outwards before that; None: 0
     """
-    x, tets, distance = cage.vertices.astype(np.float64), cage.tets, descent.distance
+    x, tets = cage.vertices.astype(np.float64), cage.tets
     outer = np.flatnonzero(np.bincount(cage.surface.ravel()))
     width = cell_widths(x, tets)
     level = distance.sample(x[outer])
@@ -177,8 +124,7 @@ def relax(
     if lift is not None:
         x, level = offset(x, level, lift[outer])
     x, level = grown(x, level)
-    small = 4 * np.quantile(tet_volumes(x, tets), SMALL_QUANTILE)  # in graded cages the smallest have the largest kappa
-    start, x = x, descent.run(x, outer, level, width, small, steps)
+    start, x = x, descended(x, tets, distance, outer, level, width, steps)
     if smallest_angle(x, tets) < min(MIN_ANGLE, smallest_angle(start, tets)):
         x = start
     x, level = grown(x, level)

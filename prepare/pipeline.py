@@ -32,8 +32,15 @@ from prepare.cage.component_cages import (
     surface_mask,
 )
 from prepare.cage.embedding_hosts import fraction_inside
-from prepare.cage.filling import DENSE, density_of, solid_cells
-from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, volume_of
+from prepare.cage.level_set import (
+    DENSE,
+    ComponentSolid,
+    contact_grid,
+    density_of,
+    level_sets,
+    solid_cells,
+    volume_of,
+)
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.cleaning import clean, clean_components
 from prepare.progress import Checkpoints, Progress, arrays_of, gaussians_of, no_progress

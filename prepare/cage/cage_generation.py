@@ -192,27 +192,28 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exa
     distance = DistanceGrid(found.phi, np.zeros(3), 1.0)
     for growth in GROWTHS + (() if exact else INEXACT_GROWTHS):
         cage = relax(cage, distance, whole * (1 + growth), lift=lift, steps=steps)
-        outside = points[TetLocator(cage.vertices, cage.tets).find(points) < 0]
+        locator = TetLocator(cage.vertices, cage.tets)
+        outside = points[locator.find(points) < 0]
         inside = 1 - len(outside) / max(len(points), 1)
         reason = fault(cage, filled, inside, vertices, exact)
         if "inside" not in reason or inside < INSIDE_HOPELESS:
             break
-        lift, steps = lift_over(cage, outside), DESCENT_STEPS // 3
+        lift, steps = lift_over(locator, outside), DESCENT_STEPS // 3
     return cage, reason
 
 
-def lift_over(cage: Cage, outside: np.ndarray) -> np.ndarray:
+def lift_over(cage: TetLocator, outside: np.ndarray) -> np.ndarray:
     """Distance each vertex (V,) should move outwards to take in the points (N, 3) that lie outside."""
-    locator = TetLocator(cage.vertices, cage.tets)
-    host, foot = locator.nearest(outside)
-    depth = np.linalg.norm(outside - foot, axis=1) + locator.edge_length(host, foot) * CLEARANCE
+    host, foot = cage.nearest(outside)
+    edge = cage.edge_length(host, foot)
+    depth = np.linalg.norm(outside - foot, axis=1) + edge * CLEARANCE
     lift = np.zeros(len(cage.vertices))
     np.maximum.at(lift, cage.tets[host].ravel(), np.repeat(depth, 4))
-    return np.minimum(lift, 0.2 * locator.edge_length(host, foot).max(initial=0.0))
+    return np.minimum(lift, 0.2 * edge.max(initial=0.0))
 
 
 def fault(cage: Cage, filled: float, inside: float, vertices: int, exact: bool | None = None) -> str:
-    """Fault of a cage that holds the fraction `inside` of the points, in one line; "" if there is none."""
+    """What is wrong with a cage that holds the fraction `inside` of the points, in one line; "" if nothing is."""
     exact = vertices >= EXACT_VERTICES if exact is None else exact
     if abs(len(cage.vertices) - vertices) > VERTEX_TOLERANCE * vertices:
         return f"the cage has {len(cage.vertices)} vertices, {vertices} were asked for"

@@ -18,7 +18,7 @@ from prepare.cleaning import MIN_GAUSSIANS
 
 MESHERS = ("stuffing", "tetgen")
 GRID_NODES = 96  # on the longest side for 2,000 vertices: seven a lattice cell
-GRID_NODES_RANGE = (64, 192)  # with the border below 256, which `filling.interior` counts in bytes
+GRID_NODES_RANGE = (64, 192)  # with the border below 256, which `level_set.interior` counts in bytes
 GRID_POWER = 0.2  # of the number of vertices; 1/3 would keep seven, but four are enough and memory is limited
 BORDER = 1 / 8  # of the grid, left free on each side for what closing and widening add
 MAX_STRAY = 0.05  # of the extent: a Gaussian this far off the surface belongs to another component
@@ -160,10 +160,9 @@ def component_cages(
     say: Callable[[str], None] | None,
     checkpoint: Callable[[str, Callable[[], dict]], dict],
 ) -> list[ComponentCage]:
-    """Cage of each component, but of those too small for one.
+    """Cages of the components, without those too small for one. Raises BadInput where a large component gets none.
 
     checkpoint  keeps what is made under a name, as Checkpoints.step does
-    Raises BadInput where a large component gets none.
     """
     counts = vertex_counts(np.array([c.area() for c in components]), vertices)
     found = []
@@ -212,10 +211,7 @@ def mesh(
     exact: bool | None = None,
     say: Callable[[str], None] | None = None,
 ) -> tuple[Cage, str]:
-    """The cage, as of `cage_of`, and the mesher that made it: stuffing where TetGen fails, which `say` is told.
-
-    Raises BadInput.
-    """
+    """The cage of `cage_of`, and its mesher: stuffing where TetGen fails, which `say` is told. Raises BadInput."""
     if mesher == "tetgen":
         try:
             return tetgen_cage(phi, points, vertices, report, exact), "tetgen"
@@ -226,7 +222,7 @@ def mesh(
 
 
 def extent_of(cages: list[ComponentCage]) -> tuple[float, np.ndarray]:
-    """Largest extent of all components together, and the centre of their cages' footprint; in the file's units."""
+    """Largest extent of all components together, and the centre of their cages' footprint; in file units."""
     boxes = np.array([c.component.box() for c in cages])
     longest = float((boxes[:, 1].max(0) - boxes[:, 0].min(0)).max())
     low = np.min([c.cage.vertices.min(0) for c in cages], axis=0)
@@ -246,10 +242,7 @@ def joined_cage(cages: list[ComponentCage], place: Callable[[np.ndarray], np.nda
 
 
 def embedded_in(cage: Cage, begin: np.ndarray, g: Gaussians, counts: list[int]) -> CageEmbedding:
-    """Embedding of each Gaussian in its own component: `counts` of them, one after the other.
-
-    begin  as of `joined_cage`
-    """
+    """Embedding of each Gaussian in its own component: `counts` of them in turn; `begin` as of `joined_cage`."""
     host, weights, first = [], [], 0
     for k, count in enumerate(counts):
         own = g.select(slice(first, first + count))

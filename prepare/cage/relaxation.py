@@ -78,13 +78,6 @@ def descended(
     return x
 
 
-def cell_widths(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Width (V,) of the lattice cells around each vertex, from its tets: a BCC tet is a twelfth of a cell."""
-    width = np.cbrt(12 * tet_volumes(x, tets).clip(0))
-    count = np.bincount(tets.ravel(), minlength=len(x))
-    return np.bincount(tets.ravel(), np.repeat(width, 4), len(x)) / np.maximum(count, 1)
-
-
 def relax(
     cage: Cage,
     distance: DistanceGrid,
@@ -101,7 +94,8 @@ def relax(
     """
     x, tets = cage.vertices.astype(np.float64), cage.tets
     outer = np.flatnonzero(np.bincount(cage.surface.ravel()))
-    width = cell_widths(x, tets)
+    of_tet = np.cbrt(12 * tet_volumes(x, tets))  # a BCC tet is a twelfth of a lattice cell
+    width = np.bincount(tets.ravel(), np.repeat(of_tet, 4), len(x)) / np.bincount(tets.ravel(), minlength=len(x))
     level = distance.sample(x[outer])
 
     def offset(x: np.ndarray, level: np.ndarray, shift) -> tuple[np.ndarray, np.ndarray]:

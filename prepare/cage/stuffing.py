@@ -69,12 +69,6 @@ def _blocks(a: np.ndarray) -> np.ndarray:
     return a.reshape(x, 2, y, 2, z, 2)
 
 
-def _doubled(a: np.ndarray) -> np.ndarray:
-    for axis in range(3):
-        a = np.repeat(a, 2, axis)
-    return a
-
-
 def graded_lattice(
     wanted: np.ndarray, levels: int, near: np.ndarray | None = None, *, origin=(0.0, 0.0, 0.0), unit: float = 1.0
 ) -> Lattice:
@@ -97,7 +91,7 @@ def graded_lattice(
     for level in range(levels + 1):
         split = divided[level] if level < levels else np.zeros(exists.shape, bool)
         found += _tets_of_level(exists & dilated_26(matters[level]), split, 2 << (levels - level))
-        exists = _doubled(split)
+        exists = split.repeat(2, 0).repeat(2, 1).repeat(2, 2)
     corners = np.concatenate([f[0] for f in found])
     cell_width = np.concatenate([np.full(len(f[0]), f[1]) for f in found])
     span = 2 * np.array(wanted.shape) + 1

@@ -128,7 +128,7 @@ def compare(
     after: Gaussians,
     truths: Sequence[Photograph | None],
 ) -> list[Comparison]:
-    """Draw each view of a hole before and after. `truths`: photographs without the object, one per camera, or none."""
+    """Draw each view of a hole before and after. `truths`: photographs without the object, one a camera, or none."""
     cameras = [v.camera for v in views]
     drawings = [BlendingWeights(g, cameras) for g in (before, after)]
     found = []
@@ -160,10 +160,6 @@ def uncovered_psnr(views: list[Comparison]) -> dict[str, dict[str, float]]:
             squares = [(getattr(v, when) - v.truth)[getattr(v, pixels)] ** 2 for v in views if v.truth is not None]
             squares = np.concatenate([np.zeros((0, 3)), *squares])
             if len(squares):
-                error[when] = _psnr(squares)
+                error[when] = float(min(PSNR_MAX, -10 * np.log10(max(squares.mean(), 1e-12))))
         found[name] = error
     return found
-
-
-def _psnr(squares: np.ndarray) -> float:
-    return float(min(PSNR_MAX, -10 * np.log10(max(squares.mean(), 1e-12))))

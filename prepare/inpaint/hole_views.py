@@ -67,8 +67,7 @@ class HoleView:
 
     def in_front(self) -> np.ndarray:
         """Pixels (H, W) bool that the object covers."""
-        free = (self.alpha < SOLID) | (self.object_depth < self.depth)
-        return (self.object_alpha > SOLID) & free
+        return (self.object_alpha > SOLID) & ((self.alpha < SOLID) | (self.object_depth < self.depth))
 
 
 def draw_views(

@@ -112,17 +112,12 @@ def most_alike(low: np.ndarray, high: np.ndarray, likeness: np.ndarray, cut: np.
     return np.where(fixed, cut, reached[:n])
 
 
-def rgb_of(gaussians: Gaussians) -> np.ndarray:
-    """View-independent colour of each Gaussian, 0..1, (N, 3)."""
-    return (0.5 + C0 * gaussians.sh[:, 0]).clip(0.0, 1.0)
-
-
 def neighbour_edges(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs (E,), (E,) of indices, each once, of neighbouring Gaussians, and their likeness (E,), 0..1."""
     points = gaussians.means.astype(np.float64)
     width = log_widths(gaussians)
     low, high, spacing = neighbours_of(points, width)
-    colour, covariances = rgb_of(gaussians), gaussians.covariances
+    colour, covariances = (0.5 + C0 * gaussians.sh[:, 0]).clip(0.0, 1.0), gaussians.covariances
     gap, contrast = np.empty(len(low), np.float32), np.empty(len(low), np.float32)
     for begin in range(0, len(low), CHUNK):
         part = slice(begin, begin + CHUNK)
@@ -221,11 +216,7 @@ def thinned(gaussians: Gaussians, most: int) -> Thinned:
     place = np.empty(len(points), np.int32)
     place[some] = np.arange(len(some))
     cell = place[nearest_as_wide(points, width, some, 1)[0][:, 0]]
-    return Thinned(some, widened(gaussians.select(some), step), cell)
-
-
-def widened(gaussians: Gaussians, factor: float) -> Gaussians:
-    """The Gaussians with `factor` times their area: the two larger scales grow, the surface gets no thicker."""
-    scales = gaussians.log_scales.copy()
-    scales += np.float32(0.5 * np.log(factor)) * (scales > scales.min(axis=1, keepdims=True))
-    return replace(gaussians, log_scales=scales)
+    fewer = gaussians.select(some)
+    scales = fewer.log_scales.copy()  # `step` times the area: the two larger grow, the surface gets no thicker
+    scales += np.float32(0.5 * np.log(step)) * (scales > scales.min(axis=1, keepdims=True))
+    return Thinned(some, replace(fewer, log_scales=scales), cell)

@@ -85,7 +85,8 @@ def marks_of(data, sizes: Mapping[str, tuple[int, int]], where: str) -> Marks:
         check_name(name, where)
         for view, entry in views.items():
             if view not in sizes:
-                raise BadInput(f"{where}: {name!r} in {view}: no such photograph; there are {_some(sizes)}")
+                known = ", ".join(sorted(sizes)[:3]) + (f" and {len(sizes) - 3} more" if len(sizes) > 3 else "")
+                raise BadInput(f"{where}: {name!r} in {view}: no such photograph; there are {known}")
             check_view(entry, sizes[view], f"{where}: {name!r} in {view}")
         if not any(m.inside or m.boxes for m in views.values()):
             raise BadInput(f"{where}: {name!r} has no stroke inside of it and no box around it")
@@ -142,11 +143,6 @@ def drawn_boxes(boxes: list[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
         x0, y0, x1, y1 = np.round(box).astype(int)
         mask[max(y0, 0) : max(y1, y0 + 1), max(x0, 0) : max(x1, x0 + 1)] = True
     return mask
-
-
-def _some(names: Mapping[str, object]) -> str:
-    shown = sorted(names)[:3]
-    return ", ".join(shown) + (f" and {len(names) - len(shown)} more" if len(names) > len(shown) else "")
 
 
 @dataclass

@@ -132,10 +132,15 @@ def view_seeds(gaussians: Gaussians, weights, camera: Camera, marks: ViewMarks) 
     """Seeds of an object by its marks in a view."""
     under = stroke_weights(weights, camera, marks)
     inside, outside = (strongest(w) for w in under)
+    barred = None
+    if marks.boxes:
+        x, y, z = camera.projected(gaussians.means.astype(np.float64))
+        within = [(x >= b[0]) & (x <= b[2]) & (y >= b[1]) & (y <= b[3]) for b in marks.boxes]
+        barred = ~(np.any(within, axis=0) & (z > 0))
     return ViewSeeds(
         inside[under[0][inside] > CLEARLY * under[1][inside]],
         outside[under[1][outside] > CLEARLY * under[0][outside]],
-        ~in_boxes(gaussians, camera, marks.boxes) if marks.boxes else None,
+        barred,
     )
 
 
@@ -159,17 +164,10 @@ def strongest(weights: np.ndarray) -> np.ndarray:
     return order[: int(np.searchsorted(total, SEED_SHARE * total[-1])) + 1] if len(order) else order
 
 
-def in_boxes(gaussians: Gaussians, camera: Camera, boxes: list[np.ndarray]) -> np.ndarray:
-    """Gaussians (N,) bool whose centre projects into a box of the picture."""
-    x, y, z = camera.projected(gaussians.means.astype(np.float64))
-    within = [(x >= b[0]) & (x <= b[2]) & (y >= b[1]) & (y <= b[3]) for b in boxes]
-    return np.any(within, axis=0) & (z > 0)
-
-
 class SplatSelection:
     """Selects one object after another in a splat, looking only at its surroundings. Taichi must be running.
 
-    `views` may be passed on from another selection that is no longer used.
+    `views` may be taken over from another selection that is no longer used.
     """
 
     def __init__(self, gaussians: Gaussians, views: ViewsAround | None = None):

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from assets.gaussians import Gaussians
 from core.rotation import matrices_from_quaternions
-from prepare.cage.filling import density_of, interior, solid_cells
+from prepare.cage.level_set import density_of, interior, solid_cells
 from tests.support.shells import ball, ring
 
 BLUR, CUTOFF = 0.5, 3.0  # [cells], [standard deviations]

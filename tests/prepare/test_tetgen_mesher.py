@@ -18,7 +18,7 @@ from prepare.cage.component_cages import mesh
 from prepare.cage.embedding_hosts import fraction_inside
 from prepare.cage.level_set import areas, marching_cubes, volume_of
 from prepare.cage.mesh_quality import non_manifold_vertices
-from prepare.cage.tetgen_mesher import MeshFailed, checked_cage, decimated, first_edge, run_tetgen
+from prepare.cage.tetgen_mesher import MeshFailed, checked_cage, decimated, run_tetgen
 from prepare.pipeline import Options, prepare
 from tests.support.shells import ball
 
@@ -103,13 +103,6 @@ def test_a_surface_is_decimated_and_screened():
         decimated(*both, 1200)
     with pytest.raises(MeshFailed, match="closed manifold"):
         decimated(v, f[: len(f) // 2], 600)
-
-
-def test_the_first_edge_gives_that_many_vertices():
-    area, volume = 4 * np.pi * R**2, 4 / 3 * np.pi * R**3
-    edges = [first_edge(area, volume, n) for n in (100, 1000, 10_000)]
-    assert edges[0] > edges[1] > edges[2]
-    assert_allclose(edges[2], (1.2 * volume / 10_000) ** (1 / 3), rtol=0.25)  # most lie inside
 
 
 @needs_open3d

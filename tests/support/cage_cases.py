@@ -6,8 +6,6 @@ from assets.gaussians import Gaussians, concatenate
 from bench.measured_bodies import SHAPES
 from tests.support.shells import shell
 
-CASES = tuple(SHAPES)
-
 
 def surface_points(distance, reach: float, n: int, rng) -> tuple[np.ndarray, np.ndarray]:
     """About evenly spread points (n, 3) [m] of the surface within a cube of half size `reach`, and normals (n, 3)."""
@@ -32,7 +30,7 @@ def _step(distance, p):
 
 
 def case(name: str, n: int = 20_000, seed: int = 0) -> Gaussians:
-    """The splat of a shape of CASES: about n Gaussians, the damage of a capture included; +y up."""
+    """The splat of one of SHAPES: about n Gaussians, the damage of a capture included; +y up."""
     rng = np.random.default_rng(seed)
     distance, reach = SHAPES[name]
     points, normals = surface_points(distance, reach, n, rng)

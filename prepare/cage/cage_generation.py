@@ -154,27 +154,22 @@ def cage_of(
     exact = vertices >= EXACT_VERTICES if exact is None else exact
     phi = phi[tuple(map(slice, low, high))]
     shape = ShapeWidths.of(phi, THIN_LIMIT * uniform_cell if adaptive else uniform_cell)
-    cage = _first_sound_cage(shape, points - low, vertices, uniform_cell, report, adaptive, exact)
-    return replace(cage, vertices=cage.vertices + low.astype(np.float32))
-
-
-def _first_sound_cage(shape: ShapeWidths, points, vertices: int, uniform_cell: float, report, adaptive, exact) -> Cage:
-    """The first cage without a fault over grading, widening and lattice. Raises NoSoundCage with the first's fault."""
-    filled, reason = volume_of(shape.phi), ""
+    points, filled, reason = points - low, volume_of(phi), ""
     for finer, coarser in ((FINER, COARSER), (1, COARSER), (0, COARSER)) if adaptive else ((0, 0),):
         for tube in TUBE_RADII:
             found = stuffed_to_count(shape, vertices, uniform_cell, finer, coarser, tube, report)
             if found is None or abs(len(found.cage.vertices) / vertices - 1) > VERTEX_TOLERANCE:
                 closest = f" ({len(found.cage.vertices)} is the closest)" if found else ""
-                none = f"no cage of about {vertices} vertices fits this shape{closest}; ask for another number"
-                reason = reason or none
+                reason = reason or (
+                    f"no cage of about {vertices} vertices fits this shape{closest}; ask for another number"
+                )
                 break
             for factor in CELL_FACTORS:
                 other = found if factor == 1 else stuffed(shape, found.cell * factor, finer, coarser, tube)
                 if abs(len(other.cage.vertices) / vertices - 1) <= VERTEX_TOLERANCE:
                     cage, reason = fitted(other, filled, points, vertices, exact)
                 if not reason:
-                    return cage
+                    return replace(cage, vertices=cage.vertices + low.astype(np.float32))
                 if "not sound" not in reason:
                     break
     raise NoSoundCage(reason)
@@ -212,9 +207,8 @@ def lift_over(cage: TetLocator, outside: np.ndarray) -> np.ndarray:
     return np.minimum(lift, 0.2 * edge.max(initial=0.0))
 
 
-def fault(cage: Cage, filled: float, inside: float, vertices: int, exact: bool | None = None) -> str:
+def fault(cage: Cage, filled: float, inside: float, vertices: int, exact: bool = False) -> str:
     """What is wrong with a cage that holds the fraction `inside` of the points, in one line; "" if nothing is."""
-    exact = vertices >= EXACT_VERTICES if exact is None else exact
     if abs(len(cage.vertices) - vertices) > VERTEX_TOLERANCE * vertices:
         return f"the cage has {len(cage.vertices)} vertices, {vertices} were asked for"
     volume = tet_volumes(cage.vertices, cage.tets)

@@ -249,21 +249,17 @@ def test_a_stroke_smaller_than_a_cell_among_strokes_outside_selects_no_other_pla
     assert found[inside].all() and distance[found].max() < 0.1
 
 
-def test_growing_and_shrinking_are_by_rings_of_neighbours(scene, views):
+def test_growing_and_shrinking_are_by_rings_of_neighbours(scene, views, monkeypatch):
+    """In a thinned splat as in all of it."""
     g, true = scene
-    selection, one = SplatSelection(g, views), true == 1
-    more, less = selection.grown(one, 1), selection.grown(one, -1)
-    assert more[one].all() and not less[~one].any()
-    assert less.sum() < one.sum() < more.sum()
-
-
-def test_a_thinned_splat_grows_as_all_of_it(scene, views, monkeypatch):
-    g, true = scene
-    whole = [SplatSelection(g, views).grown(true == 1, rings) for rings in (1, -2)]
+    one = true == 1
+    whole = {rings: SplatSelection(g, views).grown(one, rings) for rings in (1, -1, -2)}
+    assert whole[1][one].all() and not whole[-1][~one].any()
+    assert whole[-2].sum() < whole[-1].sum() < one.sum() < whole[1].sum()
     monkeypatch.setattr("prepare.segment.splat_selection.NODES", 1000)
     selection = SplatSelection(g, views)
-    for rings, expected in zip((1, -2), whole, strict=True):
-        np.testing.assert_array_equal(selection.grown(true == 1, rings), expected)
+    for rings, expected in whole.items():
+        np.testing.assert_array_equal(selection.grown(one, rings), expected)
 
 
 def test_a_gaussian_under_strokes_of_both_sides_seeds_the_side_that_clearly_has_more_of_it():

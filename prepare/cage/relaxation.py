@@ -79,12 +79,7 @@ def descended(
 
 
 def relax(
-    cage: Cage,
-    distance: DistanceGrid,
-    volume: float,
-    *,
-    lift: np.ndarray | None = None,
-    steps: int = DESCENT_STEPS,
+    cage: Cage, distance: DistanceGrid, volume: float, *, lift: np.ndarray | None = None, steps: int = DESCENT_STEPS
 ) -> Cage:
     """The same tets with vertices moved, for a longer stable substep.
 

@@ -78,12 +78,7 @@ def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, 
 
 
 def train_patch(
-    background: Gaussians,
-    patch: Gaussians,
-    targets: list[Photograph],
-    extent: float,
-    progress: Progress,
-    steps: int,
+    background: Gaussians, patch: Gaussians, targets: list[Photograph], extent: float, progress: Progress, steps: int
 ) -> Gaussians:
     """Train the patch on the targets, with the background frozen, and return it."""
     from prepare.train.trainer import Trainer, TrainOptions

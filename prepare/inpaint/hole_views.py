@@ -71,11 +71,7 @@ class HoleView:
 
 
 def draw_views(
-    background: Gaussians,
-    removed: Gaussians,
-    cameras: list[Camera],
-    ball: Surroundings,
-    progress: Progress,
+    background: Gaussians, removed: Gaussians, cameras: list[Camera], ball: Surroundings, progress: Progress
 ) -> list[HoleView]:
     """The views of all cameras that look at the surroundings of the object."""
     cuts = [(k, cut) for k, c in enumerate(cameras) if (cut := cut_out_camera(c, ball)) is not None]

@@ -12,14 +12,7 @@ from core.errors import BadInput
 from core.program import in_threads
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, target, train_patch
-from prepare.inpaint.hole_views import (
-    HoleView,
-    Surroundings,
-    cameras_around,
-    draw_views,
-    spread_indices,
-    within_object,
-)
+from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, spread_indices, within_object
 from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, views_of, without_shadow
 from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
 from prepare.inpaint.support_surface import SurfaceTexture, part_of_surface, shows_colors, support_surfaces, texture_of

@@ -245,11 +245,8 @@ def embedded_in(cage: Cage, begin: np.ndarray, g: Gaussians, counts: list[int]) 
     """Embedding of each Gaussian in its own component: `counts` of them in turn; `begin` as of `joined_cage`."""
     host, weights, first = [], [], 0
     for k, count in enumerate(counts):
-        own = g.select(slice(first, first + count))
-        tets = cage.tets[begin[k] : begin[k + 1]]
-        used = slice(int(tets.min()), int(tets.max()) + 1)
-        local = cage.vertices[used], tets - np.int32(used.start)
-        found = embed(own.means, own.quats, np.exp(own.log_scales), *local)
+        own, tets = g.select(slice(first, first + count)), cage.tets[begin[k] : begin[k + 1]]
+        found = embed(own.means, own.quats, np.exp(own.log_scales), cage.vertices, tets)
         host.append(found.host + np.int32(begin[k]))
         weights.append(found.weights)
         first += count

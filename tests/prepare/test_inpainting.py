@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from assets.gaussians import ROWS, Gaussians, concatenate
 from assets.splat_files import read_gaussians, write_gaussians
-from core.camera import look_at, perspective
+from core.camera import directions_around, look_at, perspective
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 from prepare.blending_weights import BlendingWeights
@@ -46,10 +46,7 @@ def table() -> Gaussians:
 
 
 def ball(height: float = RADIUS) -> Gaussians:
-    k = np.arange(500) + 0.5
-    y, turn = 1 - k / 250, np.pi * (1 + 5**0.5) * k
-    points = np.stack([np.sqrt(1 - y * y) * np.cos(turn), y, np.sqrt(1 - y * y) * np.sin(turn)], axis=1)
-    return discs(points * RADIUS + [0.0, height, 0.0], 0.012, (0.9, 0.2, 0.2))
+    return discs(directions_around(500) * RADIUS + [0.0, height, 0.0], 0.012, (0.9, 0.2, 0.2))
 
 
 def cameras():

@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import read_gaussians
-from core.camera import look_at, perspective
+from core.camera import directions_around, look_at, perspective
 from core.errors import BadInput
 from core.rotation import quaternions_from_matrices
 from core.runtime import start_taichi
@@ -53,9 +53,7 @@ def balls_on_a_floor() -> tuple[Gaussians, np.ndarray]:
     x, z = np.meshgrid(np.linspace(-0.8, 0.8, 60), np.linspace(-0.8, 0.8, 60))
     floor = np.stack([x.ravel(), 0.0 * x.ravel(), z.ravel()], axis=1)
     parts = [surfels(floor, np.tile([0.0, 1.0, 0.0], (len(floor), 1)), 0.014, (0.5, 0.42, 0.3))]
-    k = np.arange(1500) + 0.5
-    polar, turn = np.arccos(1 - 2 * k / 1500), np.pi * (1 + 5**0.5) * k
-    way = np.stack([np.sin(polar) * np.cos(turn), np.cos(polar), np.sin(polar) * np.sin(turn)], axis=1)
+    way = directions_around(1500)
     for middle in (-0.17, 0.17):
         parts.append(surfels([middle, 0.15, 0.0] + 0.15 * way, way, 0.008, (0.6, 0.45, 0.25)))
     return concatenate(parts), np.repeat([0, 1, 2], [len(floor), 1500, 1500])

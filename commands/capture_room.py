@@ -9,7 +9,7 @@ import hashlib
 import json
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from assets.asset import Asset
 from assets.file_access import atomic_write, locked_folder, make_folder
+from assets.gaussians import Gaussians
 from assets.room_folder import MANIFEST, RoomObject, write_room
 from assets.splat_files import read_gaussians, write_gaussians
 from commands import options as cli
@@ -27,18 +28,26 @@ from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
 from core.runtime import end_taichi, running_arch, start_taichi
+from core.typed import from_plain, to_plain
+from prepare.onnx_network import LamaNetwork
+from prepare.prepared_files import device_vertices
+from prepare.room_capture import room_pipeline
+from prepare.room_capture.contributions import Contributions
+from prepare.room_capture.objects import Support
+from prepare.room_capture.room_pipeline import MeasuredLength, PlacedRoom
 from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import Marks, marks_json, read_marks
 from prepare.segment.mask_files import read_masks
-from prepare.segment.object_ids import masks_beside
+from prepare.segment.mask_propagation import propagate_marks
+from prepare.segment.object_ids import learned_objects, masks_beside
 from prepare.train.capture import Capture, View
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import image_size, load_photographs
 
 STAGES = ("train", "cameras", "objects", "cages", "inpaint", "room")
-TRAINED = "trained.ply"
 MARKS = "marks.json"  # beside the photographs
 Say = Callable[[str], None]
+Bodies = list[tuple[Asset, RoomObject]]
 STEPS = {"cuda": 10_000, "cpu": 3_000}
 OBJECTS = cli.OneOf()
 
@@ -64,7 +73,8 @@ class CaptureOptions(cli.Options):
     no_objects: bool = cli.switch("only the room; nothing in it can be grabbed", one_of=OBJECTS)
     scale_points: tuple[str, str, str] | None = cli.option(
         ("A", "B", "M"),
-        "two points, each PHOTOGRAPH:x,y [px] or x,y,z in the capture, and their distance [m] (default: guessed scale)",
+        "two points, each PHOTOGRAPH:x,y [px] or x,y,z in the capture, and their distance, as 0.46 or 46cm (default: "
+        "guessed scale)",
     )
     steps: cli.Count | None = cli.option("N", f"steps of the training (default {cli.by_device(STEPS)})")
     reduce: cli.Count = cli.reduce_option("the photographs")
@@ -104,49 +114,9 @@ def check(options: CaptureOptions) -> None:
         if not path.exists():
             raise BadInput(f"{path}: no such file or folder")
     if options.lama:
-        from prepare.onnx_network import LamaNetwork
-
         LamaNetwork(options.lama)  # needed in an hour, perhaps
     if options.scale_points:
-        for text in options.scale_points[:2]:
-            parsed_point(text)
-        parsed_length(options.scale_points[2])
-
-
-def parsed_length(text: str) -> float:
-    """A length [m]. Raises BadInput."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 1e6:
-        raise BadInput(f"--scale-points: {text!r} is no length in metres")
-    return value
-
-
-def parsed_point(text: str) -> tuple[str, list[float]]:
-    """A photograph's name and two numbers, or "" and three. Raises BadInput."""
-    name, _, numbers = text.rpartition(":")
-    try:
-        values = [float(x) for x in numbers.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != (2 if name else 3) or not np.isfinite(values).all():
-        raise BadInput(f"--scale-points: {text!r} is neither PHOTOGRAPH:x,y nor x,y,z")
-    return name, values
-
-
-def check_points(scale_points: list[str] | None, sizes: dict[str, tuple[int, int]]) -> None:
-    """Check that points of --scale-points lie in their photographs, by name (width, height) [px]. Raises BadInput."""
-    for text in (scale_points or [])[:2]:
-        name, (x, y, *_) = parsed_point(text)
-        if name and name not in sizes:
-            raise BadInput(
-                f"--scale-points: there is no photograph {name}; there are: {', '.join(list(sizes)[:5])} ..."
-            )
-        if name and not (0 <= x < sizes[name][0] and 0 <= y < sizes[name][1]):
-            width, height = sizes[name]
-            raise BadInput(f"--scale-points: {name} has {width}x{height} pixels: {x:g},{y:g} is none of them")
+        MeasuredLength.of(options.scale_points)
 
 
 class RoomMaking:
@@ -154,6 +124,7 @@ class RoomMaking:
 
     def __init__(self, options: CaptureOptions, stages: Stages):
         self.options, self.stages, self.notes = options, stages, []
+        self.length = MeasuredLength.of(options.scale_points) if options.scale_points else None
         self.source = source_digest("commands.capture_room")
 
     def say(self, text: str) -> None:
@@ -163,16 +134,14 @@ class RoomMaking:
 
     def make(self) -> None:
         """All stages. Raises BadInput."""
-        from prepare.room_capture.room_pipeline import held_objects, placed_room
-
         self.train()
         found = self.look()
         self.segment()
-        points, length = self.measured()
-        room = placed_room(self.gaussians, self.capture, found, measured=points, length=length)
+        scale = self.length and self.length.scale(self.gaussians, self.capture, self.turn)
+        room = room_pipeline.placed_room(self.gaussians, self.capture, found, scale)
         for line in room.orientation.described():
             self.say(line)
-        room, held = held_objects(room, self.say)
+        room, held = room_pipeline.held_objects(room, self.say)
         self.say(f"{len(room.gaussians):,} of {len(self.gaussians):,} Gaussians are needed by the photographs")
         room, things = self.cages(room, held)  # before what they hid: an object without a cage is not taken away
         self.say(f"objects: {', '.join(room.names) or 'none'}")
@@ -183,14 +152,13 @@ class RoomMaking:
         """Poses, if there are none, and Gaussians."""
         o = self.options
         steps = o.steps or STEPS[running_arch()]
-        inputs = {"steps": steps, "reduce": o.reduce, "cap": o.cap, "seed": o.seed}
-        given = photographed(o, self.stages, self.say, self.check_points)
+        given = photographed(o, self.stages, self.say, self.check_length)
         self.marks, self.masks = given.marks, given.masks
 
         def make(folder: Path) -> None:
             training = train.TrainOptions(
                 capture=o.capture,
-                out=folder / TRAINED,
+                out=folder / "trained.ply",
                 report=folder / "trained.json",
                 fast=True,
                 steps=steps,
@@ -204,127 +172,91 @@ class RoomMaking:
             end_taichi()  # and with it the memory of the training
             start_taichi(o.arch, o.seed)
 
-        inputs |= capture_key(given.capture)
+        inputs = {"steps": steps, "reduce": o.reduce, "cap": o.cap, "seed": o.seed, **capture_key(given.capture)}
         if self.masks is not None:
             inputs["masks"] = [file_key(p) for p in sorted(self.masks.iterdir())]
         done = self.stages.run("train", inputs, make, source_digest("commands.train"))
         self.turn, self.capture = rotation_between(given.capture.up, (0.0, 1.0, 0.0)), given.capture.upright()
-        self.gaussians = read_gaussians(done / TRAINED, self.say)
+        self.gaussians = read_gaussians(done / "trained.ply", self.say)
         self.training = json.loads((done / "trained.json").read_text(encoding="utf-8"))
 
-    def check_points(self, views: list) -> None:
-        """Check points of --scale-points. Raises BadInput."""
-        check_points(self.options.scale_points, {view.name: image_size(view.image) for view in views})
+    def check_length(self, views: Sequence[View]) -> None:
+        """Raise BadInput for a point of --scale-points outside of its photograph."""
+        if self.length:
+            self.length.check({view.name: image_size(view.image) for view in views})
 
-    def look(self):
+    def look(self) -> Contributions:
         """Contributions of the Gaussians to the photographs."""
-        from prepare.room_capture.contributions import Contributions
-        from prepare.room_capture.room_pipeline import seen_by_cameras
 
         def make(folder: Path) -> None:
-            found = seen_by_cameras(self.gaussians, self.capture, self.stages.progress)
-            np.savez(folder / "seen.npz", weight=found.weight, views=found.views, depth=found.depth)
+            found = room_pipeline.seen_by_cameras(self.gaussians, self.capture, self.stages.progress)
+            np.savez(folder / "seen.npz", weight=found.weight, depth=found.depth)
 
         done = self.stages.run("cameras", {}, make, self.source)
         with np.load(done / "seen.npz", allow_pickle=False) as file:
-            return Contributions(file["weight"], file["views"], file["depth"])
+            return Contributions(file["weight"], file["depth"])
 
     def segment(self) -> None:
-        """Objects of the Gaussians: learned from given masks, or now from masks that marks spread to, or none."""
-        from prepare.room_capture.room_pipeline import without_supports
-
+        """Objects of the Gaussians: learned from given masks, or from masks that marks spread to, or none."""
         g, progress = self.gaussians, self.stages.progress
         if self.options.no_objects:
             self.stages.run("objects", {"none": True}, lambda folder: None, self.source)
             self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
 
-        def make(into: Path) -> None:
-            known = g if self.marks is None else self.learned_from_marks()
-            write_gaussians(into / "objects.ply", without_supports(known, self.capture, progress))
+        def make(folder: Path) -> None:
+            known, views, reduce = g, self.capture.views, self.options.reduce
+            if self.marks is not None:
+                masks = propagate_marks(self.capture, load_photographs(views, reduce), self.marks, g, progress)
+                photographs = load_photographs(views, reduce, masks.ids)
+                known = learned_objects(g, self.capture, photographs, masks.names, progress)
+            write_gaussians(folder / "objects.ply", room_pipeline.without_supports(known, self.capture, progress))
 
         inputs = {"marks": None if self.marks is None else marks_json(self.marks)}
         done = self.stages.run("objects", inputs, make, self.source)
         self.gaussians = read_gaussians(done / "objects.ply", self.say)
 
-    def learned_from_marks(self):
-        """The Gaussians with objects that they learn from masks of all photographs, which marks in some spread to."""
-        from prepare.segment.mask_propagation import propagate_marks
-        from prepare.segment.object_ids import learned_objects
-
-        views, g, progress = self.capture.views, self.gaussians, self.stages.progress
-        photographs = load_photographs(views, self.options.reduce)
-        masks = propagate_marks(self.capture, photographs, self.marks, g, progress)
-        photographs = load_photographs(views, self.options.reduce, masks.ids)
-        return learned_objects(g, self.capture, photographs, masks.names, progress)
-
-    def measured(self) -> tuple:
-        """Both points of --scale-points, and the length [m] between them; None for either without it."""
-        from prepare.room_capture.room_pipeline import point_in_photograph
-
-        if not self.options.scale_points:
-            return None, None
-        points = []
-        for text in self.options.scale_points[:2]:
-            name, values = parsed_point(text)
-            if name:
-                points.append(point_in_photograph(self.gaussians, self.capture, name, *values))
-            else:
-                points.append(self.turn @ np.array(values))
-        return tuple(points), parsed_length(self.options.scale_points[2])
-
-    def cages(self, room, held) -> tuple:
+    def cages(self, room: PlacedRoom, held: list[Support]) -> tuple[PlacedRoom, Bodies]:
         """The room with the objects that have a body, and these."""
-        from prepare.prepared_files import device_vertices
-        from prepare.room_capture.room_pipeline import bodies, without_objects
-
         o = self.options
         vertices = (o.vertices,) if o.vertices else device_vertices(animated=False)
         inputs = {"vertices": vertices, "material": o.material, "scale_points": o.scale_points}
 
         def make(folder: Path) -> None:
-            part = self.stages.part
-            found, lost = bodies(room, held, vertices=vertices, material=o.material, progress=part, say=self.say)
+            found, lost = room_pipeline.bodies(
+                room, held, vertices=vertices, material=o.material, progress=self.stages.part, say=self.say
+            )
             make_folder(folder / "objects")
             for asset, thing in found:
                 asset.save(folder / thing.asset)
-            made = {"objects": [asdict(thing) for _, thing in found], "lost": lost}
+            made = {"objects": [to_plain(thing) for _, thing in found], "lost": lost}
             (folder / "objects.json").write_text(json.dumps(made), encoding="utf-8")
 
         done = self.stages.run("cages", inputs, make, self.source)
         made = json.loads((done / "objects.json").read_text(encoding="utf-8"))
-        rows = [{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()} for row in made["objects"]]
-        things = [RoomObject(**row) for row in rows]
-        room = without_objects(room, made["lost"], self.say)
+        things = from_plain(list[RoomObject], made["objects"], str(done))
+        room = room_pipeline.without_objects(room, made["lost"], self.say)
         return room, [(Asset.load(done / thing.asset), thing) for thing in things]
 
-    def inpaint(self, room):
+    def inpaint(self, room: PlacedRoom) -> Gaussians:
         """The background, closed where objects stood."""
-        from prepare.room_capture.room_pipeline import inpainted
-
-        o = self.options
-        inputs = {"lama": str(o.lama) if o.lama else None}
+        lama = self.options.lama
 
         def make(folder: Path) -> None:
-            painter = None
-            if o.lama:
-                from prepare.onnx_network import LamaNetwork
+            painter = LamaNetwork(lama) if lama else None
+            rest = room_pipeline.inpainted(room, self.stages.part, self.say, painter)
+            write_gaussians(folder / "background.ply", rest)
 
-                painter = LamaNetwork(o.lama)
-            write_gaussians(folder / "background.ply", inpainted(room, self.stages.part, self.say, painter))
-
-        done = self.stages.run("inpaint", inputs, make, self.source)
+        done = self.stages.run("inpaint", {"lama": str(lama) if lama else None}, make, self.source)
         return read_gaussians(done / "background.ply", self.say)
 
-    def finish(self, room, rest, things: list) -> None:
+    def finish(self, room: PlacedRoom, rest: Gaussians, things: Bodies) -> None:
         """The collider, the report, and the folder as it is played; its manifest is written last."""
         from commands.capture_report import write_report
-        from prepare.room_capture.room_pipeline import background, manifest
 
         def make(folder: Path) -> None:
-            background(room, rest, things, cell=self.options.cell, progress=self.stages.progress).save(
-                folder / "room.h5"
-            )
+            made = room_pipeline.background(room, rest, things, cell=self.options.cell, progress=self.stages.progress)
+            made.save(folder / "room.h5")
 
         done, out = self.stages.run("room", {"cell": self.options.cell}, make, self.source), self.options.out
         (out / MANIFEST).unlink(missing_ok=True)  # until all parts are there this is no room
@@ -337,7 +269,7 @@ class RoomMaking:
         about = {"seconds": self.stages.seconds, "training": self.training, "notes": self.notes}
         images = [view.image for view in self.capture.views]
         write_report(out, room, Asset.load(out / "room.h5"), things, images, about)
-        write_room(out, manifest(room, [thing for _, thing in things]))
+        write_room(out, room_pipeline.manifest(room, [thing for _, thing in things]))
 
 
 @dataclass(frozen=True)
@@ -385,7 +317,13 @@ def objects_of(options: CaptureOptions, capture: Capture, place: Path, say: Say)
     if masks is not None:
         read_masks(masks, capture.views)
         return None, masks
-    check_can_ask()
+    from display.window.gl_window import has_display
+
+    if not has_display():
+        raise BadInput(
+            "no marked objects, and no display to mark them on: give --marks MARKS.json or --masks FOLDER, or "
+            "--no-objects for the room alone"
+        )
     return marked_photographs(capture, sizes, place), None
 
 
@@ -396,24 +334,13 @@ def marks_in(marks: Marks, names: list[str], say: Say) -> Marks:
     for name, views in marks.objects.items():
         lost = sorted(set(views) - set(names))
         kept[name] = {view: m for view, m in views.items() if view in names}
-        where = f"{', '.join(lost[:3])}{' and others' if len(lost) > 3 else ''}, whose pose was not found"
+        where = f"{', '.join(lost[:3])}{' and others' if len(lost) > 3 else ''}"
         if not any(m.inside or m.boxes for m in kept[name].values()):
-            raise BadInput(f"{name!r} is marked only in {where}; mark it in another photograph, as {names[0]}")
+            other = f"mark it in another photograph, such as {names[0]}"
+            raise BadInput(f"{name!r} is marked only in {where}, whose pose was not found; {other}")
         if lost:
-            say(f"{name}: not used are its marks in {where}")
+            say(f"{name}: its marks in {where} are not used: no pose was found")
     return Marks(kept)
-
-
-def check_can_ask() -> None:
-    """Raise BadInput where the user cannot be asked for marks in a window."""
-    from display.window.gl_window import has_display
-
-    if has_display():
-        return
-    raise BadInput(
-        "no marked objects, and no display to mark them on: give --marks MARKS.json or --masks FOLDER, or --no-objects "
-        "for only the room"
-    )
 
 
 def capture_key(capture: Capture) -> dict:

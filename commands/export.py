@@ -6,12 +6,13 @@ import os
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, make_folder
 from assets.formats.ply import chunk_order
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import COMPRESSED, kind_to_write, read_gaussians, write_gaussians
@@ -65,8 +66,10 @@ def export(options: ExportOptions) -> None:
     from display.keep.scene_export import export_suffix, exporter
 
     sequence, start, files = is_folder(options.out), time.perf_counter(), []
-    check_out(options, sequence)
-    if not sequence:
+    if sequence:
+        make_folder(options.out)
+    else:
+        check_writable(options.out)
         export_suffix(options.out)
     every = options.every or 2
     played = PlayOptions(**options.values_of(SceneOptions), headless=True, size=(16, 16), sort="z", sound="off")
@@ -84,18 +87,6 @@ def export(options: ExportOptions) -> None:
     size, count = sum(f.stat().st_size for f in files) / 1e6, len(files)
     what = f"{count} files" if sequence else f"frame {index + 1}"
     print(f"{options.out}: {what}, {size:.1f} MB, {time.perf_counter() - start:.1f} s")
-
-
-def check_out(options: ExportOptions, sequence: bool) -> None:
-    """Make the folder of a sequence, or check that the file can be written. Raises BadInput."""
-    if not sequence:
-        check_writable(options.out)
-        return
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise BadInput(f"{options.out}: cannot make this folder ({e.strerror})") from e
-    check_writable(options.out / f"frame_00000.{options.format}")
 
 
 def find_body(world, wanted: str | None) -> int | None:
@@ -127,16 +118,12 @@ def convert(options: ConvertOptions) -> None:
     if all(exist) and source.samefile(target):
         raise BadInput(f"{target}: is the input itself; choose another name")
     long = exist[0] and source.stat().st_size >= PROGRESS_SIZE_MIN
-
-    def progress(stage: str) -> None:
-        if long:
-            print(f"  {stage}", file=sys.stderr, flush=True)
-
-    progress(f"1/3 reading {source.name}")
+    progress = partial(print, file=sys.stderr, flush=True) if long else no_line
+    progress(f"  1/3 reading {source.name}")
     before = read_gaussians(source)
-    progress(f"2/3 writing {len(before)} Gaussians to {target.name}")
-    write_gaussians(target, before, report=lambda line: None)  # the losses below say it
-    progress("3/3 comparing")
+    progress(f"  2/3 writing {len(before)} Gaussians to {target.name}")
+    write_gaussians(target, before, report=no_line)  # the losses below say it
+    progress("  3/3 comparing")
     after = read_gaussians(target)
     if kind == COMPRESSED:
         before = before.select(chunk_order(before.means))
@@ -148,6 +135,10 @@ def convert(options: ConvertOptions) -> None:
         size += f", was {source.stat().st_size / 1e6:.2f} MB"
     what = f"{len(after)} Gaussians of SH degree {after.sh_degree} ({size})"
     print(f"{target}: {what}; lost: {', '.join(lost) or 'nothing'}")
+
+
+def no_line(line: str) -> None:
+    """Print nothing."""
 
 
 def losses(before: Gaussians, after: Gaussians) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write, check_writable, write_json
-from assets.gaussians import concatenate
+from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
 from commands import options as cli
 from core.errors import BadInput
 from core.report import Section, Table, html_page
 from core.runtime import start_taichi
 from display.picture import save_picture
-from prepare.progress import progress_on
+from prepare.progress import StepProgress
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import load_photograph
 
@@ -77,13 +76,13 @@ def inpaint(options: InpaintOptions) -> None:
         check_writable(file)
     painter = LamaNetwork(options.lama) if options.lama else paint_from_patches
     cameras, truths = _cameras(options)
-    background, objects = _parts(options, read_gaussians)
+    background, objects = _parts(options)
     start_taichi(options.arch)
     begin, reports = time.perf_counter(), []
     for k, (name, removed) in enumerate(objects.items()):
         others = [g for other, g in objects.items() if other != name]
         standing = list(objects.values())[k + 1 :]  # the shadows of those before went with them
-        progress = progress_on(sys.stderr, STAGES)
+        progress = StepProgress(STAGES)
         try:
             more = concatenate(others) if others else None
             background, removed = without_support(background, removed, cameras, others=more, progress=progress)
@@ -105,9 +104,8 @@ def inpaint(options: InpaintOptions) -> None:
     seconds = time.perf_counter() - begin
     print(f"{options.out}: {len(background)} Gaussians, {seconds:.0f} s")
     if options.report:
-        _report(
-            options.report, reports, {"gaussians": len(background), "seconds": seconds, "scene": str(options.scene)}
-        )
+        whole = {"gaussians": len(background), "seconds": seconds, "scene": str(options.scene)}
+        _report(options.report, reports, whole)
 
 
 def _cameras(options: InpaintOptions) -> tuple[list | None, list]:
@@ -127,30 +125,24 @@ def _cameras(options: InpaintOptions) -> tuple[list | None, list]:
     return [t.camera for t in truths] or [v.camera() for v in capture.views], truths
 
 
-def _parts(options: InpaintOptions, read) -> tuple:
+def _parts(options: InpaintOptions) -> tuple[Gaussians, dict[str, Gaussians]]:
     """The background, and the objects by name. Raises BadInput."""
-    scene = read(options.scene)
+    scene = read_gaussians(options.scene)
     if options.objects:
         names = [path.stem for path in options.objects]
         if len(set(names)) < len(names):
             raise BadInput(f"--objects: two files are named {max(names, key=names.count)}")
-        return scene, {name: read(path) for name, path in zip(names, options.objects, strict=True)}
-    ids = {name: object_number(scene, name, options.scene) for name in options.remove}
-    return scene.select(~np.isin(scene.object_id, list(ids.values()))), {
-        name: scene.select(scene.object_id == number) for name, number in ids.items()
-    }
-
-
-def object_number(scene, name: str, path: Path) -> int:
-    """The id of an object by its name or number. Raises BadInput."""
-    there = sorted(set(scene.object_id.tolist()) - {0})
+        return scene, {name: read_gaussians(path) for name, path in zip(names, options.objects, strict=True)}
+    there = np.unique(scene.object_id[scene.object_id > 0]).tolist()
     names = {k: scene.objects[k - 1] if k <= len(scene.objects) else str(k) for k in there}
-    for k, known in names.items():
-        if name in (known, str(k)):
-            return k
     if not there:
-        raise BadInput(f"{path}: holds no objects; use train --masks or segment first, or give --objects")
-    raise BadInput(f"{path}: holds no object {name}, only {', '.join(names.values())}")
+        raise BadInput(f"{options.scene}: holds no objects; use train --masks or segment first, or give --objects")
+    ids = {name: next((k for k in there if name in (names[k], str(k))), None) for name in options.remove}
+    for name, number in ids.items():
+        if number is None:
+            raise BadInput(f"{options.scene}: holds no object {name}, only {', '.join(names.values())}")
+    rest = scene.select(~np.isin(scene.object_id, list(ids.values())))
+    return rest, {name: scene.select(scene.object_id == number) for name, number in ids.items()}
 
 
 def _measured(name, removed, hole, textures, before, after, truths) -> dict:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from assets.library import is_asset
 from commands.options import Preparation
-from commands.prepared import cached_body, cached_environment, is_prepared, prepared_body
+from commands.prepared import cached_body, cached_environment, is_prepared
 from core.errors import BadInput
 from core.runtime import is_out_of_memory, running_arch
 from display.user_commands import AddBody, Command, OpenScene, SwapRoom
@@ -58,8 +58,8 @@ class Opening:
 
     def body(self) -> str:
         """The asset of the body that is to be added."""
-        path = self.request.path
-        return path if is_asset(path) else prepared_body(Path(path), self.options)[0]
+        path, o = self.request.path, self.options
+        return path if is_asset(path) else str(cached_body(Path(path), o, o.arch, o.seed)[0])
 
     def close(self) -> None:
         """Give it up. Further calls do nothing."""

@@ -32,7 +32,7 @@ SECONDS = 5  # [s] of a headless play of a scene without a game
 @contextlib.contextmanager
 def open_session(options: PlayOptions) -> Iterator[Session]:
     """Open all that the options request, closed at the end. Raises BadInput before any long operation."""
-    from commands.play_session import Outputs, Session
+    from commands.play_session import Session
     from display.keep.keeper import Keeper
     from display.preferences import Preferences
 
@@ -60,7 +60,11 @@ def open_session(options: PlayOptions) -> Iterator[Session]:
             options,
             scene,
             display,
-            Outputs(film, recording, study, keeper, sound),
+            film=film,
+            recording=recording,
+            study=study,
+            keeper=keeper,
+            sound=sound,
             replay=replay,
             load=lambda changed: load_scene(changed, None),
             world_options=world | views,

@@ -25,6 +25,7 @@ from scenes.registry import label
 
 if TYPE_CHECKING:
     from commands.play_options import PlayOptions
+    from core.vocabulary import Light
     from display.headless.video import FilmWriter
     from display.keep.keeper import Keeper
     from display.preferences import Preferences
@@ -34,17 +35,6 @@ if TYPE_CHECKING:
     from display.study.study_file import StudyLog
     from display.world import World, WorldSnapshot
     from scenes.scene import Scene
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Outputs of a play; None: not wanted."""
-
-    film: FilmWriter | None
-    recording: Recording | None
-    study: StudyLog | None
-    keeper: Keeper
-    sound: Sound | None
 
 
 @dataclass(frozen=True)
@@ -65,10 +55,11 @@ class Planned:
 class Session:
     """The world, its display and its outputs. Use it in a `with`, which ends what is being opened.
 
-    options        of the command, which change with the scene
-    load           gives the scene of such options
-    world_options  of a World, besides its size
-    reserve        assets of bodies for which the first world has capacity
+    options         of the command, which change with the scene
+    film ... sound  outputs; None: not wanted
+    load            gives the scene of such options
+    world_options   of a World, besides its size
+    reserve         assets of bodies for which the first world has capacity
     """
 
     def __init__(
@@ -76,8 +67,12 @@ class Session:
         options: PlayOptions,
         scene: Scene,
         display: Display,
-        outputs: Outputs,
         *,
+        film: FilmWriter | None,
+        recording: Recording | None,
+        study: StudyLog | None,
+        keeper: Keeper,
+        sound: Sound | None,
         replay: Replay | None,
         load: Callable[[PlayOptions], Scene],
         world_options: dict,
@@ -85,8 +80,7 @@ class Session:
         reserve: Sequence[str] = (),
     ):
         self.options, self.display, self.replay = options, display, replay
-        self.film, self.recording, self.study = outputs.film, outputs.recording, outputs.study
-        self.keeper, self.sound = outputs.keeper, outputs.sound
+        self.film, self.recording, self.study, self.keeper, self.sound = film, recording, study, keeper, sound
         self._load, self._world_options, self._count = load, world_options, 0
         self._opening: Opening | None = None
         self._requests: deque[Command] = deque()  # what is opened after that
@@ -129,19 +123,12 @@ class Session:
         if options.headless:
             print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
 
-    def _light_is_kept(self) -> bool:
-        """True where the light is the user's: not in a scripted play or a replay, nor where a state says it."""
-        return not (self.options.headless or self.replay or self.options.state)
-
-    # one world after another
-
     def _frames(self) -> Iterator[Frame]:
         """Frames of each world, without the commands that ask for another one, which are carried out here."""
         while True:
-            shown = self.replay.frames if self.replay else self.display.frames
-            frames = (
-                shown(self.display, self.world, paced=not self.options.headless) if self.replay else shown(self.world)
-            )
+            frames = self.display.frames(self.world)
+            if self.replay:
+                frames = self.replay.frames(self.display, self.world, paced=not self.options.headless)
             for frame in frames:
                 requests = [c for c in frame.commands if isinstance(c, OpeningCommand)]
                 frame.commands = [c for c in frame.commands if not isinstance(c, OpeningCommand)]
@@ -157,24 +144,22 @@ class Session:
             del frame, frames  # which refer to the world
             self._replace_world()
 
-    def _take(self, request) -> None:
+    def _take(self, request: Command) -> None:
         """Begin to open what the user asks for."""
+        outputs = {"a recording": self.recording, "a study": self.study, "a replay": self.replay}
+        running = next((name for name, output in outputs.items() if output is not None), None)
         if isinstance(request, CancelOpening):
             if self._opening is not None:
                 self.world.tell("Cancelled.")
             self._end_opening()
-            return
-        outputs = {"a recording": self.recording, "a study": self.study, "a replay": self.replay}
-        running = next((name for name, output in outputs.items() if output is not None), None)
-        if running is not None:  # its file names one scene, with which it begins
+        elif running is not None:  # its file names one scene, with which it begins
             self.world.tell(f"Nothing else can be opened during {running}.")
-            return
-        if isinstance(request, Measure):
+        elif isinstance(request, Measure):
             self._measure(request)
-            return
-        if not isinstance(request, AddBody):  # which waits for its turn
-            self._end_opening()
-        self._requests.append(request)
+        else:
+            if not isinstance(request, AddBody):  # which waits for its turn
+                self._end_opening()
+            self._requests.append(request)
 
     def _measure(self, request: Measure) -> None:
         """Scale the body that has both points, or else the room, in its file, in which the scene begins anew."""
@@ -206,19 +191,15 @@ class Session:
 
     def _advance_opening(self) -> None:
         """Go on with what is being opened; once it is ready, add the body, or plan another world."""
-        if self._opening is None and self._requests:
-            try:
-                self._opening = Opening(self._requests.popleft(), self.options)
-            except BadInput as e:
-                self.world.tell(str(e))
-        opening = self._opening
-        if opening is None:
-            return
         try:
-            if not opening.poll():
-                self.world.opening = opening.text
+            if self._opening is None and self._requests:
+                self._opening = Opening(self._requests.popleft(), self.options)
+            if self._opening is None:
                 return
-            self._carry_out(opening)
+            if not self._opening.poll():
+                self.world.opening = self._opening.text
+                return
+            self._carry_out(self._opening)
         except BadInput as e:
             self.world.tell(str(e))
         self._opening, self.world.opening = None, ""
@@ -242,7 +223,8 @@ class Session:
     def _replace_world(self) -> None:
         """Make the planned world in place of the present one; if that fails, the present one again."""
         planned, self._planned = self._planned, None
-        before = self.options, self.world.scene, self.world.reserve, self._state()
+        before = self.options, self.world.scene, self.world.reserve
+        state = self.world.snapshot(), self.world.light, self.world.paused
         self._memory.keep(self.world)
         self.world.close()
         problem = ""
@@ -259,22 +241,17 @@ class Session:
                 raise
             problem = "There is not enough memory for that."
         if problem:
-            options, scene, reserve, state = before
-            self._remake(options, scene, reserve, begins=not planned.joins)
-            self._resume(state)
+            self._remake(*before, begins=not planned.joins)
+            self._resume(*state)
             self.world.tell(problem)
         elif planned.joins:
-            self._resume(before[-1])
+            self._resume(*state)
             try:
                 self.world.editor.add(planned.reserve[-1], planned.joins)
             except BadInput as e:
                 self.world.tell(str(e))
 
-    def _state(self) -> tuple[WorldSnapshot, object, bool]:
-        return self.world.snapshot(), self.world.light, self.world.paused
-
-    def _resume(self, state) -> None:
-        snapshot, light, paused = state
+    def _resume(self, snapshot: WorldSnapshot, light: Light | None, paused: bool) -> None:
         self.world.adopt(snapshot)
         self.world.paused = paused
         if light is not None:
@@ -297,15 +274,15 @@ class Session:
 
         return about_play(self.options, self._world_options)
 
-    def _make(self, scene: Scene, reserve: Sequence[str] = ()) -> World:
+    def _make(self, scene: Scene, reserve: Sequence[str]) -> World:
         """The world of a scene, ready to play, with a report of the progress."""
         from display.keep.keeper import Remembered
         from display.world import World, softened_note
 
-        name = label(self.options.scene)
+        name, options = label(self.options.scene), self.options
         self.keeper.scene, self.keeper.about = name, self._about
-        self._memory = Remembered(self._preferences, name, light=self._light_is_kept())
-
+        users_light = not (options.headless or self.replay or options.state)  # else the script or the file says it
+        self._memory = Remembered(self._preferences, name, light=users_light)
         width, height = self.display.size
         with start_progress(self.display.loading):
             world = World(scene, width=width, height=height, reserve=reserve, **self._world_options)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from assets.file_access import file_size
 from commands import options as cli
-from commands.prepared import cached_body, cached_environment, is_animated, suited
+from commands.prepared import cached_body, cached_environment, is_animated, pipeline_options, suited
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.runtime import start_taichi
@@ -30,9 +30,18 @@ class PrepareOptions(cli.Preparation):
             "belongs to bodies; with --static nothing is simulated",
         ),
         cli.Condition(
-            (
-                *("--cell", "--cut", "--material", "--mesher", "--rig", "--landmarks"),
-                *("--no-report", "--force", "--quantised"),
+            tuple(
+                [
+                    "--cell",
+                    "--cut",
+                    "--material",
+                    "--mesher",
+                    "--rig",
+                    "--landmarks",
+                    "--no-report",
+                    "--force",
+                    "--quantised",
+                ]
             ),
             lambda o: not o.cache,
             "belongs to --out",
@@ -67,7 +76,6 @@ def prepare(options: PrepareOptions) -> None:
         print(cached_environment(o.splats, o.arch) if o.static else cached_body(o.splats, o, o.arch)[0])
         return
     from prepare.environment.environment_pipeline import EnvironmentOptions
-    from prepare.pipeline import Options as PipelineOptions
     from prepare.preparation_report import report_names
     from prepare.prepared_files import device_vertices, object_file, prepare_environment_file, prepare_file
     from prepare.report_pictures import strip_name
@@ -95,16 +103,7 @@ def prepare(options: PrepareOptions) -> None:
     prepare_file(
         o.splats,
         out,
-        PipelineOptions(
-            vertices=o.vertices or vertices[0],
-            scale=o.scale,
-            up=o.up,
-            material=o.material,
-            mesher=o.mesher,
-            adaptive=o.cells == "adaptive",
-            pieces=o.pieces,
-            front=o.front,
-        ),
+        replace(pipeline_options(o, o.vertices or vertices[0]), material=o.material, mesher=o.mesher),
         vertices=vertices,
         rig=o.rig,
         landmarks=o.landmarks,

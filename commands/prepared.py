@@ -19,6 +19,7 @@ from scenes.registry import demo
 if TYPE_CHECKING:
     from commands.options import Preparation
     from commands.play_options import PlayOptions
+    from prepare.pipeline import Options
     from prepare.progress import Progress
 
 BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 8, 7  # of what `cached_body` and `cached_environment` make
@@ -35,16 +36,10 @@ def prepared_bodies(options: PlayOptions) -> list[str]:
         raise BadInput(f"there are numbers of vertices for {len(wanted)} bodies, not for {len(splats)}")
     made = {}
     for k, name in enumerate(splats):
-        made[name], wanted[k] = prepared_body(Path(name), options, wanted[k])
+        made[name], wanted[k] = cached_body(Path(name), options, options.arch, options.seed, vertices=wanted[k])
     if splats:
         options.vertices = wanted[0] if len(wanted) == 1 else wanted
-    return [made.get(name, name) for name in options.body or ()]
-
-
-def prepared_body(path: Path, options: PlayOptions, vertices: int | None = None) -> tuple[str, int]:
-    """The asset of a splat file, and its number of vertices."""
-    asset, vertices = cached_body(path, options, options.arch, options.seed, vertices=vertices)
-    return str(asset), vertices
+    return [str(made.get(name, name)) for name in options.body or ()]
 
 
 def prepared_stage(options: PlayOptions) -> str | None:
@@ -115,19 +110,22 @@ def cached_body(
     if out.is_file():
         _ask_up(splats, out)
     else:
-        from prepare.pipeline import Options
         from prepare.prepared_files import prepare_file
 
         _begin(splats, out, arch, seed)
-        adaptive = how.cells == "adaptive"
-        options = Options(
-            vertices or chosen[0], how.scale, how.up, adaptive=adaptive, pieces=how.pieces, front=how.front
-        )
-        prepare_file(splats, out, options, vertices=chosen, progress=progress)
+        prepare_file(splats, out, pipeline_options(how, vertices or chosen[0]), vertices=chosen, progress=progress)
     if chosen:
         vertices = wanted_vertices(out)
         print(f"{splats.name}: {suited(vertices)}", flush=True)
     return out, vertices
+
+
+def pipeline_options(how: Preparation, vertices: int) -> Options:
+    """The options of `prepare` for a cage of so many vertices."""
+    from prepare.pipeline import Options
+
+    adaptive = how.cells == "adaptive"
+    return Options(vertices, how.scale, how.up, adaptive=adaptive, pieces=how.pieces, front=how.front)
 
 
 def chosen_vertices(splats: Path, arch: str | None, seed: int) -> tuple[int, ...]:

@@ -6,7 +6,6 @@ import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from core.errors import BadInput
 from core.report import Section, html_page
 from core.runtime import start_taichi
 from display.picture import save_picture
-from prepare.progress import progress_on
+from prepare.progress import StepProgress
 from prepare.segment.marks import Marks, SplatMarks, read_marks, read_splat_marks, write_marks, write_splat_marks
 from prepare.segment.mask_files import (
     check_masks_folder,
@@ -30,11 +29,8 @@ from prepare.segment.mask_files import (
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import image_size, load_photograph
 
-if TYPE_CHECKING:
-    from prepare.segment.marks import SplatMarks
-
 WINDOW_SIZE, SPLAT_WINDOW_SIZE = (1200, 680), (1200, 640)  # in screen coordinates
-MARKS_FILE = "marks.json"  # in the output folder
+MARKS_FILE = "marks.json"  # in the capture's folder, of a splat in the output folder
 STEPS = ("photographs", "splats", "depths", "surface", "masks", "votes")  # of `segment_capture`, for the progress
 
 
@@ -79,7 +75,6 @@ class SegmentOptions(cli.Options):
 
 def is_splats(path: Path) -> bool:
     """True for the name of a splat file or mesh, which holds no photographs."""
-
     suffix = path.suffix.lower()
     return suffix in (*READERS, *MESHES) and (suffix != ".json" or path.name.lower() == "meta.json")
 
@@ -115,12 +110,11 @@ def segment_capture(options: SegmentOptions) -> None:
         start_taichi(options.arch)
     elif not len(capture.points):
         raise BadInput(f"{options.capture}: has no sparse points; train on it first, then give the splat with --splats")
-    marks = (
-        marked_photographs(capture, sizes, capture.folder / "marks.json")
-        if options.marks is None
-        else read_marks(options.marks, sizes)
-    )
-    start, progress = time.perf_counter(), progress_on(sys.stderr, STEPS)
+    if options.marks is None:
+        marks = marked_photographs(capture, sizes, capture.folder / MARKS_FILE)
+    else:
+        marks = read_marks(options.marks, sizes)
+    start, progress = time.perf_counter(), StepProgress(STEPS)
     photographs = []
     try:
         for k, view in enumerate(capture.views):
@@ -138,8 +132,7 @@ def segment_capture(options: SegmentOptions) -> None:
         print(f"{options.overlay}: photographs with their masks")
     for name, overlap in overlap_of(masks, truth).items() if truth else ():
         print(f"{name}: IoU {overlap:.3f}")
-    for name in masks.names:
-        label = masks.names.index(name) + 1
+    for label, name in enumerate(masks.names, 1):
         seen = sum(bool((ids == label).any()) for ids in masks.ids)
         print(f"{name}: in {seen} of {len(masks.ids)} photographs, {masks.pixels(name):,} pixels")
         if seen < 0.3 * len(masks.ids):
@@ -186,9 +179,8 @@ def in_world_of(splats, capture, photographs: list, path: Path):
 
     found = []
     for posed in (capture.upright(), capture):
-        cameras = [
-            replace(p.camera, world_to_camera=v.world_to_camera) for p, v in zip(photographs, posed.views, strict=True)
-        ]
+        poses = [view.world_to_camera for view in posed.views]
+        cameras = [replace(p.camera, world_to_camera=m) for p, m in zip(photographs, poses, strict=True)]
         errors = []
         for k in np.linspace(0, len(cameras) - 1, 3).round().astype(int):
             drawn = draw_float(splats, [cameras[k]], sort="radial")["rgb"][0].clip(0, 1)
@@ -237,11 +229,8 @@ def marked_splats(options: SegmentOptions) -> SplatMarks:
     before = read_splat_marks(path) if path.is_file() else SplatMarks()
     gaussians = read_gaussians(options.capture, show)
     start_taichi(options.arch)
-    subject = SplatSubject(gaussians, before)
-    state = marked_in_window(
-        subject, edit_of(before.marks, before.grow), f"Mark {options.capture.name}", SPLAT_WINDOW_SIZE
-    )
-    marks = subject.marks(state)
+    subject, edit = SplatSubject(gaussians, before), edit_of(before.marks, before.grow)
+    marks = subject.marks(marked_in_window(subject, edit, f"Mark {options.capture.name}", SPLAT_WINDOW_SIZE))
     subject.close()
     write_splat_marks(path, marks)
     show(f"{path}: the marks")

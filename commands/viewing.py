@@ -139,9 +139,13 @@ def film_turntable(options: RenderOptions) -> None:
         start = time.perf_counter()
         file = ViewedFile.read(options.splats, options.up)
         gaussians = file.gaussians
-        sort = options.sort or gaussians.sort or DEFAULT_SORT
         renderer = Renderer(
-            Splats(gaussians), width, height, antialias=options.antialias, sort=sort, background=BACKGROUND
+            Splats(gaussians),
+            width,
+            height,
+            antialias=options.antialias,
+            sort=options.sort or gaussians.sort or DEFAULT_SORT,
+            background=BACKGROUND,
         )
         line = ProgressLine()
         for k in range(options.frames):
@@ -151,10 +155,8 @@ def film_turntable(options: RenderOptions) -> None:
             line.show(f"frame {k + 1} of {options.frames}")
         line.end()
         video.close()
-    seconds, count = time.perf_counter() - start, len(gaussians)
-    print(
-        f"{options.out}: {options.frames} pictures {width}x{height} of {count} Gaussians, {file.note}, {seconds:.1f} s"
-    )
+    what = f"{options.frames} pictures {width}x{height} of {len(gaussians)} Gaussians, {file.note}"
+    print(f"{options.out}: {what}, {time.perf_counter() - start:.1f} s")
 
 
 @dataclass(kw_only=True)

@@ -21,6 +21,8 @@ MIN_FRACTION = 0.01  # of the largest component's Gaussians; with fewer it is a 
 
 def component_numbers(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Component (N,) of each point: cells of a grid, joined across small gaps; 0 has the most points, -1: far off."""
+    if len(points) < 2:
+        return np.full(len(points), -1)
     sample = points[:: len(points) // SAMPLE + 1]
     neighbours = cKDTree(points).query(sample, k=min(8, len(points)))[0][:, -1]
     # Sparse Gaussians need larger cells.
@@ -38,11 +40,6 @@ def component_numbers(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
     numbers = np.full(len(points), -1)
     numbers[within] = rank[of_point]
     return numbers
-
-
-def largest_component(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Mask (N,) of the points in the component with most of them."""
-    return component_numbers(points, low, high) == 0
 
 
 def visible(gaussians: Gaussians) -> Gaussians:
@@ -83,12 +80,8 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
     low, high = solid_box(g)
     small = np.exp(g.log_scales.astype(np.float64)).max(1) <= SIGMA_MAX * (high - low).max()
     g_small = g.select(small)
-    keep = (
-        largest_component(g_small.means.astype(np.float64), low, high)
-        if len(g_small) > 1
-        else np.zeros(len(g_small), bool)
-    )
-    g_kept = g_small.select(keep)
+    number = component_numbers(g_small.means.astype(np.float64), low, high)
+    g_kept = g_small.select(number == 0)
     counts = {
         "read": n,
         "transparent": n - len(g),
@@ -122,7 +115,7 @@ def clean_components(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray, dict[
             continue
         small = own[widest[own] <= SIGMA_MAX * (high - low).max()]
         huge += len(own) - len(small)
-        number = component_numbers(g.means[small].astype(np.float64), low, high) if len(small) else small
+        number = component_numbers(g.means[small].astype(np.float64), low, high)
         sizes = np.bincount(number[number >= 0], minlength=1)
         large = np.flatnonzero(sizes >= max(MIN_GAUSSIANS, MIN_FRACTION * sizes[0]))
         specks += int((sizes >= MIN_GAUSSIANS).sum()) - len(large)

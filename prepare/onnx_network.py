@@ -21,8 +21,6 @@ class OnnxNetwork:
 
     def __init__(self, path: str | Path, channels: int):
         """Read the file. Raises BadInput."""
-        import cv2
-
         self.path, self.channels, self._lock = Path(path), channels, Lock()
         if self.path.suffix.lower() != ".onnx":
             raise BadInput(f"{path}: a network is an .onnx file")
@@ -35,8 +33,6 @@ class OnnxNetwork:
 
     def run(self, **inputs: np.ndarray) -> np.ndarray:
         """The output (channels, SIDE, SIDE) for inputs (C, SIDE, SIDE) by name; from any thread. Raises BadInput."""
-        import cv2
-
         shape = (1, self.channels, SIDE, SIDE)
         try:
             with self._lock:
@@ -69,8 +65,6 @@ class MaskNetwork:
 
     def __call__(self, picture: np.ndarray, likely: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
         """The object (H, W) bool; sure pixels stay. Raises BadInput."""
-        import cv2
-
         size = (SIDE, SIDE)
         image = cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255.0
         hints = [cv2.resize(likely.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN, VERTEX_TOLERANCE
 from prepare.cage.component_cages import (
     MIN_COMPONENT,
     Component,
-    ComponentCage,
     Grid,
     check_mesher,
     cluster_grids,
@@ -52,6 +52,7 @@ PLAUSIBLE_SIZE = (0.05, 0.6)  # [m] largest extent of objects for the hand; beyo
 DEFAULT_SIZE = 0.25  # [m]
 
 STEPS = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -124,9 +125,16 @@ def prepare(
     oriented = kept.step("orient", partial(clean_and_orient, gaussians, options, progress))
     g, found = gaussians_of(oriented)
     components = fill_components(g, oriented["cluster"], options, progress, kept)
-    report = partial(progress, "cage")
-    how = {"adaptive": options.adaptive, "say": say, "checkpoint": kept.step}
-    cages = component_cages(components, g, options.vertices, options.mesher, report, **how)
+    cages = component_cages(
+        components,
+        g,
+        options.vertices,
+        options.mesher,
+        partial(progress, "cage"),
+        adaptive=options.adaptive,
+        say=say,
+        checkpoint=kept.step,
+    )
     used = " and ".join(sorted({c.mesher for c in cages}))
     if used != options.mesher and say and "cage" in kept.resumed:
         say(f"{options.mesher} failed in the run before; the cage was made by {used} instead")
@@ -157,7 +165,7 @@ def prepare(
         "mesher": used,
         "pieces": len(cages),
         "cells": "adaptive" if options.adaptive and used != "tetgen" else "uniform",
-        "filled": filled_volume(cages, factor),
+        "filled": sum(volume_of(c.component.phi) * (c.component.grid.spacing * factor) ** 3 for c in cages),  # [m^3]
         "seconds": round(time.perf_counter() - begin, 2),
     }
     provenance = {
@@ -182,11 +190,20 @@ def prepare(
     return Asset(g, cage, embedded, grid, material, provenance)
 
 
-def body_size(longest: float, scale: float | None) -> float:
-    """Size [m] of an object with the largest extent `longest` in the file: `scale` if given, else that if plausible.
+def of_first_sound_cage(counts: Sequence[int], make: Callable[[int], Made], say: Callable[[str], None]) -> Made:
+    """`make` of the first number of vertices with which the shape has a sound cage. Raises BadInput if none does."""
+    for count, following in zip(counts, [*counts[1:], None], strict=True):
+        try:
+            return make(count)
+        except NoSoundCage as e:
+            if following is None:
+                raise BadInput(f"{e}; --vertices N makes a finer cage") from e
+            say(f"{e}; trying {following} vertices")
+    raise ValueError("no number of vertices is given")
 
-    Raises BadInput.
-    """
+
+def body_size(longest: float, scale: float | None) -> float:
+    """Size [m] of an object whose largest extent in the file is `longest`: `scale` if given, else that if plausible."""
     if scale is None:
         return longest if PLAUSIBLE_SIZE[0] <= longest <= PLAUSIBLE_SIZE[1] else DEFAULT_SIZE
     if not SIZE_RANGE[0] <= scale <= SIZE_RANGE[1]:
@@ -205,16 +222,18 @@ def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress)
     progress("orient", 0.0)
     chances = up_probabilities(g) if options.up is None else {options.up: 1.0}
     up, sure = most_likely(chances)
-    turned, front = g.transformed(rotation_to_up(up)), {}
+    g, front = g.transformed(rotation_to_up(up)), {}
+    angle = -np.radians(options.front or 0.0)
     if options.front is None:
-        angle, front_sure = front_of(turned)
-        turn = turned_about_up(-angle) if front_sure >= FRONT_SURE else np.eye(3)
-        front = {"angle": round(float(np.degrees(angle)), 1), "sure": round(front_sure, 2)}
-        front["turned"] = front_sure >= FRONT_SURE
-    else:
-        turn = turned_about_up(np.radians(options.front))
-    turned = turned.transformed(turn)
-    return arrays_of(turned, counts=counts, up=up, sure=sure, chances=chances, front=front) | {"cluster": cluster}
+        angle, front_sure = front_of(g)
+        front = {
+            "angle": round(float(np.degrees(angle)), 1),
+            "sure": round(front_sure, 2),
+            "turned": front_sure >= FRONT_SURE,
+        }
+        angle = angle if front["turned"] else 0.0
+    g = g.transformed(turned_about_up(-angle))
+    return arrays_of(g, counts=counts, up=up, sure=sure, chances=chances, front=front) | {"cluster": cluster}
 
 
 def fill_components(
@@ -253,11 +272,6 @@ def solid_of(component: Component, foot: np.ndarray, factor: float) -> Component
     spacing = grid.spacing * factor
     distance = DistanceGrid(component.phi * spacing, (grid.origin - foot) * factor, spacing)
     return ComponentSolid(cells["shell"], cells["solid"], distance)
-
-
-def filled_volume(cages: list[ComponentCage], factor: float) -> float:
-    """Volume [m^3] of the filled shapes."""
-    return sum(volume_of(c.component.phi) * (c.component.grid.spacing * factor) ** 3 for c in cages)
 
 
 def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -44,38 +45,19 @@ def report_names(out: Path) -> tuple[Path, Path]:
     return out.with_suffix(".report.html"), out.with_suffix(".report.json")
 
 
-def report_texts(
-    asset: Asset,
-    solids: list[ComponentSolid],
-    name: str,
-    *,
-    notes: tuple[str, ...] = (),
-    splat: np.ndarray | None = None,
-    up: np.ndarray | None = None,
-) -> tuple[str, str]:
-    """Contents of the files of `report_names` for the asset of the file `name`: a page, and the numbers as JSON.
+def report_texts(name: str, numbers: dict, pictures: dict[str, np.ndarray], notes: Sequence[str]) -> tuple[str, str]:
+    """Contents of the files of `report_names`, a page and JSON: the numbers and pictures of `examine`.
 
-    solids  of each component
-    notes   lines printed while it was made
-    splat   picture of the Gaussians, if it is drawn already
-    up      strip of the alternatives, where it is not sure which way is up
-    Taichi must be running.
+    name   of the asset's file
+    notes  lines printed while it was made
     """
-    numbers, pictures = examine(asset, solids, splat)
-    return texts_of(name, numbers, pictures if up is None else {"up": up} | pictures, notes)
-
-
-def texts_of(name: str, numbers: dict, pictures: dict[str, np.ndarray], notes: tuple[str, ...]) -> tuple[str, str]:
-    """The page and the JSON text of the numbers and pictures of `examine`."""
-    numbers = dict(numbers)
-    numbers["notes"] = list(notes)
+    numbers = numbers | {"notes": list(notes)}
     return page_of(name, numbers, pictures), json.dumps(numbers, indent=2) + "\n"
 
 
-def examine(
-    asset: Asset, solids: list[ComponentSolid], splat: np.ndarray | None = None
-) -> tuple[dict, dict[str, np.ndarray]]:
-    """Numbers, ready for JSON (lengths [m], angles [degrees]), and pictures by name."""
+def examine(asset: Asset, solids: list[ComponentSolid]) -> tuple[dict, dict[str, np.ndarray]]:
+    """Numbers, ready for JSON (lengths [m], angles [degrees]), and pictures by name, of an asset and the solid of each
+    of its components. Taichi must be running."""
     cage, g = asset.cage, asset.gaussians
     opaque = g.opacities > OPAQUE
     points = g.means[opaque if opaque.any() else slice(None)].astype(np.float64)
@@ -84,7 +66,10 @@ def examine(
     to_cage = distance_to_surface(points, cage.vertices, cage.surface)
     to_gaussians = cKDTree(points).query(surface_samples(cage.vertices, cage.surface)[0])[0]
     angles = dihedral_angles(cage.vertices, cage.tets)
-    level, faces = surfaces_of(solids)
+    levels = [marching_cubes(solid.distance) for solid in solids]
+    first = np.cumsum([0, *(len(x) for x, _ in levels)])  # vertex of each component
+    level = np.concatenate([x for x, _ in levels])
+    faces = np.concatenate([f + k for (_, f), k in zip(levels, first, strict=False)])
     volume = tet_volumes(cage.vertices, cage.tets)
     longest = float(np.ptp(cage.vertices, axis=0).max())
     numbers = {
@@ -128,24 +113,13 @@ def examine(
     }
     camera = camera_for(cage.vertices.astype(np.float64))
     pictures = {
-        "splat": splat_picture(asset, camera) if splat is None else splat,
+        "splat": splat_picture(asset, camera),
         "cells": cells_picture(solids, camera),
         "surface": surface_picture(level, faces, camera),
         "cage": cage_picture(asset, camera),
         "enclosure": enclosure_picture(asset, points, inside, np.where(inside, to_cage, 0.0), camera),
     }
     return numbers, pictures
-
-
-def surfaces_of(solids: list[ComponentSolid]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) [m] and triangles (F, 3) where the level sets of all components are zero."""
-    vertices, faces, first = [], [], 0
-    for solid in solids:
-        x, f = marching_cubes(solid.distance)
-        vertices.append(x)
-        faces.append(f + first)
-        first += len(x)
-    return np.concatenate(vertices), np.concatenate(faces)
 
 
 CAPTIONS = {
@@ -160,7 +134,6 @@ DISTANCES = {"gaussians_to_cage": "Gaussians to the cage", "cage_to_gaussians": 
 
 
 def page_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
-    """The HTML page of the numbers and pictures of `examine`."""
     cage, dihedral, distance = numbers["cage"], numbers["dihedral"], numbers["distance"]
     counts, extent = numbers["asset"]["counts"] or {}, numbers["largest_extent"]
     facts = (
@@ -174,7 +147,7 @@ def page_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
         (f"{1e6 * cage['volume']:,.4g} cm³", "volume"),
         (f"{numbers['seconds'] or 0:.1f} s", "to prepare"),
     )
-    figures: dict = {caption: pictures[key] for key, caption in CAPTIONS.items() if key in pictures}
+    figures = {caption: pictures[key] for key, caption in CAPTIONS.items() if key in pictures}
     median = f"All six dihedral angles of each tet, median {dihedral['median']:.0f}°. Red: the smallest."
     figures[f"{median} Heights are square roots of counts."] = histogram(dihedral)
     rows = [
@@ -201,7 +174,8 @@ def histogram(dihedral: dict) -> Chart:
 
 
 def length(metres: float) -> str:
-    """A length in a unit that suits it: m, cm or mm."""
-    return (
-        f"{metres:.3g} m" if metres >= 1 else f"{100 * metres:.3g} cm" if metres >= 0.01 else f"{1e3 * metres:.3g} mm"
-    )
+    """A length in a unit that suits it."""
+    for unit, size in (("m", 1.0), ("cm", 0.01)):
+        if metres >= size:
+            return f"{metres / size:.3g} {unit}"
+    return f"{1e3 * metres:.3g} mm"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +17,16 @@ from assets.gaussians import Gaussians
 from assets.orientation import describe_guess, question
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
+from core.material import ANIMATED_MATERIAL
 from core.report import png_of
 from core.runtime import running_arch
 from prepare import standing
-from prepare.cage.cage_generation import NoSoundCage
 from prepare.cage.level_set import ComponentSolid
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
-from prepare.pipeline import STEPS, VERSION, Options, prepare
-from prepare.preparation_report import report_names, report_texts
-from prepare.progress import Checkpoints, Progress, progress_on
-from prepare.report_pictures import camera_for, orientation_strip, splat_picture, strip_name
+from prepare.pipeline import STEPS, VERSION, Options, of_first_sound_cage, prepare
+from prepare.preparation_report import examine, report_names, report_texts
+from prepare.progress import Checkpoints, Progress, StepProgress
+from prepare.report_pictures import orientation_strip, strip_name
 from prepare.rig.rig_source import RigSource, described, is_skinned, rig_source
 from prepare.standing import stood_up
 
@@ -64,29 +65,49 @@ def prepare_file(
     path, out = Path(path), Path(out)
     source, options = _source_of(path, options or Options(), rig, landmarks)
     gaussians = read_gaussians(path, report) if source is None or source.gaussians is None else source.gaussians
-    bar = progress_on(sys.stderr, STEPS if source is None else (*STEPS, "rig"))
-    wanted = list(vertices) or [options.vertices]
-    try:
-        body = _sound_body(path, gaussians, options, wanted, source, progress or bar, report)
-    except BadInput as e:
-        raise BadInput(f"{path}: {e}") from e
-    finally:
-        bar.close()
-    asset, solids, notes, checkpoints = body
+    counts = vertices or (options.vertices,)
+    with _progress(path, STEPS if source is None else (*STEPS, "rig"), progress) as shown:
+        make = partial(_body, path, gaussians, options, source, shown)
+        asset, solids, notes, checkpoints = of_first_sound_cage(counts, make, report)
     if checkpoints.resumed:
         notes.append(f"resumed after the step {checkpoints.resumed[-1]} of an earlier run")
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
-    chances, strip, texts = asset.provenance["up_probabilities"], None, ()
+    strip, texts = _strip(asset) if page else None, ()
     if page:
-        strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances) if question(chances) else None
-        splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
-        texts = report_texts(asset, solids, out.name, notes=tuple(notes), splat=splat, up=strip)
-    _write(out, asset, strip, texts, quantised=quantised)
+        numbers, pictures = examine(asset, solids)
+        pictures = pictures if strip is None else {"up": strip} | pictures
+        texts = report_texts(out.name, numbers, pictures, notes)
+    files = [out, *([strip_name(out)] if strip is not None else []), *(report_names(out) if texts else ())]
+    with atomic_write_all(*files) as (beside, *others):
+        asset.check(str(out))  # before `save` does, which would name the temporary file
+        asset.save(beside, quantised=quantised)
+        if strip is not None:
+            others.pop(0).write_bytes(png_of(strip))
+        for other, text in zip(others, texts, strict=True):
+            other.write_text(text, encoding="utf-8")
     checkpoints.clear()
     for line in notes + summary(asset.provenance):
         report(line)
-    tell_alternatives(chances, out, strip, report)
+    tell_alternatives(asset.provenance["up_probabilities"], out, strip, report)
     return out
+
+
+@contextmanager
+def _progress(path: Path, steps: tuple[str, ...], progress: Progress | None) -> Iterator[Progress]:
+    """The caller's progress, or that of the steps on the screen. A BadInput inside comes to name the file."""
+    shown = StepProgress(steps)
+    try:
+        yield progress or shown
+    except BadInput as e:
+        raise BadInput(f"{path}: {e}") from e
+    finally:
+        shown.close()
+
+
+def _strip(asset: Asset) -> np.ndarray | None:
+    """Picture of the axes that may point up, where the guess is not sure."""
+    chances = asset.provenance["up_probabilities"]
+    return orientation_strip(asset.gaussians, asset.provenance["up"], chances) if question(chances) else None
 
 
 def _source_of(path: Path, options: Options, rig, landmarks) -> tuple[RigSource | None, Options]:
@@ -100,53 +121,29 @@ def _source_of(path: Path, options: Options, rig, landmarks) -> tuple[RigSource 
         options = replace(options, up=options.up or "+y", front=options.front or 0.0)  # both are specified
     if source is not None:
         options = replace(options, front=options.front or 0.0)  # a motion has a front of its own
-        options = replace(options, up=options.up or source.up, material=options.material or source.material)
+        options = replace(options, up=options.up or source.up, material=options.material or ANIMATED_MATERIAL)
     return source, options
 
 
-def _sound_body(
-    path: Path,
-    gaussians: Gaussians,
-    options: Options,
-    wanted: list[int],
-    source: RigSource | None,
-    progress: Progress,
-    report: Callable[[str], None],
+def _body(
+    path: Path, gaussians: Gaussians, options: Options, source: RigSource | None, progress: Progress, vertices: int
 ) -> tuple[Asset, list[ComponentSolid], list[str], Checkpoints]:
-    """The body with the first of the `wanted` numbers of vertices that has a sound cage, standing or in motion; solids
-    of its components, notes, and what is kept until it is written. Raises BadInput."""
-    for count, others in ((wanted[k], wanted[k + 1 :]) for k in range(len(wanted))):
-        options = replace(options, vertices=count)
-        checkpoints = Checkpoints(path, asdict(options), VERSION)
-        try:
-            asset, solids, notes = _prepared_or_anew(gaussians, options, progress, checkpoints)
-            if source is not None:
-                progress("rig", 0.0)
-                asset = source.animate(asset, solids[0].distance)
-                progress("rig", 1.0)
-            elif len(solids) == 1 and not options.metres:
-                asset, solids = stood_up(asset, solids)
-            return asset, solids, notes, checkpoints
-        except BadInput as e:
-            checkpoints.clear()
-            if not isinstance(e, NoSoundCage):
-                raise
-            if not others:
-                raise BadInput(f"{e}; --vertices N makes a finer cage") from e
-            report(f"{e}; trying {others[0]} vertices")
-    raise ValueError("no number of vertices is wanted")
-
-
-def _write(out: Path, asset: Asset, strip: np.ndarray | None, texts: Sequence[str], *, quantised: bool) -> None:
-    """Write the asset, the strip of its alternatives and the report's texts beside it, all of them or none."""
-    files = [out, *([strip_name(out)] if strip is not None else []), *(report_names(out) if texts else ())]
-    with atomic_write_all(*files) as (beside, *others):
-        asset.check(str(out))  # before `save` does, which would name the temporary file
-        asset.save(beside, quantised=quantised)
-        if strip is not None:
-            others.pop(0).write_bytes(png_of(strip))
-        for other, text in zip(others, texts, strict=True):
-            other.write_text(text, encoding="utf-8")
+    """The body with so many vertices, standing or in motion; the solids of its components, notes, and what is kept
+    until it is written. Raises BadInput."""
+    options = replace(options, vertices=vertices)
+    checkpoints = Checkpoints(path, asdict(options), VERSION)
+    try:
+        asset, solids, notes = _prepared_or_anew(gaussians, options, progress, checkpoints)
+        if source is not None:
+            progress("rig", 0.0)
+            asset = source.animate(asset, solids[0].distance)
+            progress("rig", 1.0)
+        elif len(solids) == 1 and not options.metres:
+            asset, solids = stood_up(asset, solids)
+    except BadInput:
+        checkpoints.clear()
+        raise
+    return asset, solids, notes, checkpoints
 
 
 def tell_alternatives(chances: dict, out: Path, strip: np.ndarray | None, report: Callable[[str], None]) -> None:
@@ -188,17 +185,15 @@ def summary(provenance: dict) -> list[str]:
     animation = provenance.get("rig")
     apart, lines = counts["apart"] + counts["stray"], []
     if figures["pieces"] > 1:
-        lines = [f"{figures['pieces']} pieces, each with a cage of its own; in a scene each is a body of its own"]
+        lines.append(f"{figures['pieces']} pieces, each with a cage of its own and a body of its own in a scene")
     elif apart > MAX_FLOATERS * counts["read"] and not options.get("pieces"):
-        lines = [
-            f"the splat has pieces that lie apart: the largest is taken, {apart} Gaussians left out; --pieces keeps all"
-        ]
+        kept = "the largest is taken"
+        lines.append(f"the splat has pieces that lie apart: {kept}, {apart} Gaussians left out; --pieces keeps all")
     if counts.get("specks"):
-        lines.append(f"{counts['specks']} more pieces were too small or too flat for a cage and are left out")
+        lines.append(f"{counts['specks']} more pieces are left out: too small or too flat for a cage")
     if counts.get("flap"):
-        lines.append(
-            f"a thin part of {counts['flap']} Gaussians under it, on which it would topple, is left out of the cage"
-        )
+        flap = f"a thin part of {counts['flap']} Gaussians under it, on which it would topple"
+        lines.append(f"{flap}, is left out of the cage")
     return lines + [
         f"Gaussians: {counts['kept']} of {counts['read']}" + (f"; left out: {left_out}" if left_out else ""),
         f"up {_up_axis(provenance)}, largest extent {_size(provenance)}",
@@ -229,20 +224,12 @@ def prepare_environment_file(
     """
     path, out = Path(path), Path(out)
     gaussians = read_gaussians(path, report)
-    bar = progress_on(sys.stderr, ENVIRONMENT_STEPS)
-    try:
-        asset, objects = prepare_environment(gaussians, options, progress=progress or bar)
-    except BadInput as e:
-        raise BadInput(f"{path}: {e}") from e
-    finally:
-        bar.close()
+    with _progress(path, ENVIRONMENT_STEPS, progress) as shown:
+        asset, objects = prepare_environment(gaussians, options, progress=shown)
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
-    files = [out, *(object_file(out, k) for k in objects)]
     asset.check(str(out))
-    strip, chances = None, asset.provenance["up_probabilities"]
-    if pictures and question(chances):
-        strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances)
-        files.append(strip_name(out))
+    strip = _strip(asset) if pictures else None
+    files = [out, *(object_file(out, k) for k in objects), *([] if strip is None else [strip_name(out)])]
     with atomic_write_all(*files) as (beside, *others):
         if strip is not None:
             others.pop().write_bytes(png_of(strip))
@@ -253,7 +240,7 @@ def prepare_environment_file(
         report(f"object {k}: {len(g)} Gaussians cut out")
     for line in environment_summary(asset):
         report(line)
-    tell_alternatives(chances, out, strip, report)
+    tell_alternatives(asset.provenance["up_probabilities"], out, strip, report)
     return files
 
 

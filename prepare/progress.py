@@ -39,38 +39,30 @@ class Checkpoints:
         self.folder, self.resumed = None, []
         if source is None:
             return
-        digest = hashlib.sha256(json.dumps([version, sorted((options or {}).items())]).encode())
         with open(source, "rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+        key = json.dumps([version, sorted((options or {}).items()), content])
         entries = cache_folder() / "stages"
-        self.folder = entries / digest.hexdigest()[:32]
-        remove_old(entries, keep=self.folder)
+        self.folder = entries / hashlib.sha256(key.encode()).hexdigest()[:32]
+        with contextlib.suppress(OSError):
+            for other in entries.iterdir():
+                if other != self.folder and time.time() - other.stat().st_mtime > MAX_AGE:
+                    shutil.rmtree(other, ignore_errors=True)
 
     def step(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Arrays of step `name`: read if they were kept, else made and kept."""
-        kept = self._read(name)
-        if kept is not None:
+        if self.folder is None:
+            return make()
+        path = self.folder / f"{name}.npz"
+        if (kept := read_arrays(path)) is not None:
             self.resumed.append(name)
             return kept
         made = make()
-        if self.folder:
-            with contextlib.suppress(OSError, BadInput):  # a full disk is no reason to stop
-                self.folder.mkdir(parents=True, exist_ok=True)
-                with atomic_write(self.folder / f"{name}.npz") as beside, open(beside, "wb") as file:
-                    np.savez(file, **made)
+        with contextlib.suppress(OSError, BadInput):  # a full disk is no reason to stop
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with atomic_write(path) as beside, open(beside, "wb") as file:
+                np.savez(file, **made)
         return made
-
-    def _read(self, name: str) -> dict[str, np.ndarray] | None:
-        path = self.folder / f"{name}.npz" if self.folder else None
-        if path is None or not os.path.isfile(path):  # Path.is_file may raise
-            return None
-        try:
-            with np.errstate(all="ignore"), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-                found = {key: file[key] for key in file.files}  # the zip's checksums are verified
-        except Exception:  # zipfile, zlib, tokenize and ast each have their own for a damaged file
-            return None
-        return found if all(isinstance(values, np.ndarray) for values in found.values()) else None
 
     def clear(self) -> None:
         """Remove the entries of this run: its asset is written, or none can be made of its splat."""
@@ -79,12 +71,16 @@ class Checkpoints:
             shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def remove_old(entries: Path, *, keep: Path) -> None:
-    """Remove the folders of runs that were not touched for MAX_AGE."""
-    with contextlib.suppress(OSError):
-        for folder in entries.iterdir():
-            if folder != keep and time.time() - folder.stat().st_mtime > MAX_AGE:
-                shutil.rmtree(folder, ignore_errors=True)
+def read_arrays(path: Path) -> dict[str, np.ndarray] | None:
+    """The arrays of an entry; None if there is none that can be read."""
+    if not os.path.isfile(path):  # Path.is_file may raise
+        return None
+    try:
+        with np.errstate(all="ignore"), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            found = {key: file[key] for key in file.files}  # the zip's checksums are verified
+    except Exception:  # zipfile, zlib, tokenize and ast each have their own for a damaged file
+        return None
+    return found if all(isinstance(values, np.ndarray) for values in found.values()) else None
 
 
 def arrays_of(gaussians: Gaussians, **others) -> dict[str, np.ndarray]:
@@ -110,62 +106,42 @@ def no_progress(step: str, done: float) -> None:
     """Show nothing."""
 
 
-class ProgressLines:
-    """Prints a line on stderr when a step ends, with the time it took."""
-
-    def __init__(self, steps: tuple[str, ...], out: TextIO | None = None) -> None:
-        self.steps, self.out = steps, out or sys.stderr
-        self.step, self.since = None, time.perf_counter()
-
-    def __call__(self, step: str, done: float) -> None:
-        if step != self.step:
-            self._end()
-            self.step, self.since = step, time.perf_counter()
-        if done >= 1 and step == self.steps[-1]:
-            self._end()
-
-    def _end(self) -> None:
-        if self.step is not None:
-            number = self.steps.index(self.step) + 1
-            seconds = time.perf_counter() - self.since
-            print(f"  {number}/{len(self.steps)} {self.step:<8} {seconds:5.1f} s", file=self.out, flush=True)
-        self.step = None
-
-    def close(self) -> None:
-        """Nothing to clear: a step that did not end has no line."""
-
-
-class ProgressBar:
-    """One line that is overwritten: how much is done, the step's name and the time so far.
+class StepProgress:
+    """Progress of a run of known steps: on a terminal one bar that is overwritten, elsewhere a line as each step ends.
 
     Each step takes an equal part of the bar; the fractions within it are the step's own.
     """
 
     def __init__(self, steps: tuple[str, ...], out: TextIO | None = None) -> None:
-        self.steps, self.out = steps, out or sys.stderr
-        self.since, self.shown, self.step = time.perf_counter(), 0.0, None
+        self.steps, self.out, self.step = steps, out or sys.stderr, None
+        self.begin = self.since = self.shown = time.perf_counter()
+        encoding = (self.out.encoding or "").lower().replace("-", "")
+        self.draws = self.out.isatty() and encoding == "utf8"
 
     def __call__(self, step: str, done: float) -> None:
         now = time.perf_counter()
-        if step == self.step and now - self.shown < MIN_INTERVAL and done < 1:
-            return
-        self.step, self.shown = step, now
-        fraction = (self.steps.index(step) + min(max(done, 0.0), 1.0)) / len(self.steps)
-        full = round(fraction * BAR_WIDTH)
-        text = f"  {FULL * full}{EMPTY * (BAR_WIDTH - full)} {fraction:4.0%}  {step:<8} {now - self.since:4.0f} s"
-        columns = shutil.get_terminal_size().columns
-        print(f"\r{text[: columns - 1]}\x1b[K", end="", file=self.out, flush=True)
-        if fraction >= 1:
+        number, begins = self.steps.index(step), step != self.step
+        if begins:
+            self._end_line(now)
+            self.step, self.since = step, now
+        if self.draws and (begins or done >= 1 or now - self.shown >= MIN_INTERVAL):
+            self.shown = now
+            fraction = (number + min(max(done, 0.0), 1.0)) / len(self.steps)
+            full = round(fraction * BAR_WIDTH)
+            text = f"  {FULL * full}{EMPTY * (BAR_WIDTH - full)} {fraction:4.0%}  {step:<8} {now - self.begin:4.0f} s"
+            columns = shutil.get_terminal_size().columns
+            print(f"\r{text[: columns - 1]}\x1b[K", end="", file=self.out, flush=True)
+        if done >= 1 and number == len(self.steps) - 1:
+            self._end_line(now)
             self.close()
 
+    def _end_line(self, now: float) -> None:
+        if self.step is not None and not self.draws:
+            line = f"  {self.steps.index(self.step) + 1}/{len(self.steps)} {self.step:<8} {now - self.since:5.1f} s"
+            print(line, file=self.out, flush=True)
+
     def close(self) -> None:
-        """Clear the line, so that the next output stands alone."""
-        if self.step is not None:
+        """Clear the bar, so that the next output stands alone; a step that did not end has no line."""
+        if self.step is not None and self.draws:
             print("\r\x1b[K", end="", file=self.out, flush=True)
         self.step = None
-
-
-def progress_on(out: TextIO, steps: tuple[str, ...]) -> ProgressLines | ProgressBar:
-    """A bar where `out` is a terminal that can draw one, else lines."""
-    encoding = (out.encoding or "").lower().replace("-", "")
-    return (ProgressBar if out.isatty() and encoding == "utf8" else ProgressLines)(steps, out)

@@ -88,7 +88,8 @@ def cells_picture(solids: list[ComponentSolid], camera: Camera) -> np.ndarray:
         step = max(1, round(max(np.ptp(np.argwhere(m.solid), axis=0) + 1) / MAX_DRAWN_CELLS))
         solid, shell = coarsened(m.solid, step), coarsened(m.shell, step)
         centre = grid.origin + grid.spacing * (np.indices(solid.shape).reshape(3, -1).T * step + (step - 1) / 2)
-        keep = behind(centre, camera, _centre_of_mass(m)).reshape(solid.shape)
+        mass_centre = grid.origin + grid.spacing * np.argwhere(grid.values < 0).mean(0)  # shows more than the middle
+        keep = behind(centre, camera, mass_centre).reshape(solid.shape)
         corners, quads, owner = cubes(solid & keep)
         x.append(grid.origin + grid.spacing * (corners * step - 0.5))
         faces.append(quads + first)
@@ -112,12 +113,6 @@ def behind(points: np.ndarray, camera: Camera, middle: np.ndarray) -> np.ndarray
     to = camera.position - middle
     axis = 0 if np.abs(to[..., 0]).max() > np.abs(to[..., 2]).max() else 2
     return (points[:, axis] - middle[..., axis]) * to[..., axis] < 0
-
-
-def _centre_of_mass(solid: ComponentSolid) -> np.ndarray:
-    """Centre of mass [m] of the solid: a cut through it shows more than one through the centre of the box."""
-    grid = solid.distance
-    return grid.origin + grid.spacing * np.argwhere(grid.values < 0).mean(0)
 
 
 def surface_picture(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> np.ndarray:
@@ -161,9 +156,7 @@ def enclosure_picture(asset: Asset, points: np.ndarray, inside: np.ndarray, dept
 
 
 PAPER = (250, 249, 247)
-LIGHT = np.array([-0.5, -0.65, -0.6]) / np.linalg.norm(
-    [-0.5, -0.65, -0.6]
-)  # direction towards the lamp, in the camera's frame
+LIGHT = np.array([-0.5, -0.65, -0.6]) / np.linalg.norm([-0.5, -0.65, -0.6])  # towards the lamp, in the camera's frame
 AMBIENT = 0.35
 SUPERSAMPLING = 2
 SHIFT = 4  # fractional bits of a pixel: OpenCV's fixed point
@@ -218,27 +211,19 @@ class Canvas:
         return cv2.resize(self.page, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
 
 
-CUBE = np.array(  # corners of a cell's six faces, counter-clockwise from outside; face 2 a + s looks along s of axis a
-    [
-        [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]],
-        [[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]],
-        [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
-        [[0, 1, 0], [0, 1, 1], [1, 1, 1], [1, 1, 0]],
-        [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]],
-        [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
-    ]
-)
-
-
 def cubes(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Faces between set and unset cells (X, Y, Z) bool: corners (V, 3) [cells], faces (F, 4), cell of each (F, 3)."""
+    """Faces between set and unset cells (X, Y, Z) bool: corners (V, 3) [cells], faces (F, 4), cell of each (F, 3).
+
+    Faces are counter-clockwise from outside.
+    """
     padded = np.pad(cells, 1)
     corners, owner = [], []
     for axis in range(3):
         for side, step in ((0, -1), (1, 1)):
             free = ~np.roll(padded, -step, axis)[1:-1, 1:-1, 1:-1]
             at = np.argwhere(cells & free)
-            corners.append(at[:, None] + CUBE[2 * axis + side])
+            around = np.insert([[0, 0], [1, 0], [1, 1], [0, 1]][::step], 0, side, axis=1)
+            corners.append(at[:, None] + np.roll(around, axis, axis=1))
             owner.append(at)
     corners, owner = np.concatenate(corners).reshape(-1, 3), np.concatenate(owner)
     return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 4), owner

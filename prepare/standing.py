@@ -50,14 +50,18 @@ def flap_of(solid: np.ndarray) -> np.ndarray:
 def lean_at_rest(solid: np.ndarray) -> float:
     """Angle [degrees] by which a homogeneous solid, cells (X, Y, Z) bool, leans where it comes to rest."""
     points = np.argwhere(solid).astype(np.float64)
-    return float(np.degrees(np.arccos(np.clip(-resting_normal(points, points.mean(0))[1], -1.0, 1.0))))
+    return lean_of(resting_normal(points, points.mean(0)))
+
+
+def lean_of(normal: np.ndarray) -> float:
+    """Angle [degrees] by which a body leans when it rests on a face with this outward normal (3,)."""
+    return float(np.degrees(np.arccos(np.clip(-normal[1], -1.0, 1.0))))
 
 
 def resting_normal(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Unit normal (3,), outwards, of the face on which the hull of points (N, 3) rests, in the frame of the points.
+    """Unit outward normal (3,) of the face on which the hull of points (N, 3) rests: its `centre` of mass is over it.
 
-    A body rests on a face over which its `centre` of mass is; of several the nearest to upright is taken. Points on a
-    plane or a line have no faces; they are said to rest on -y.
+    Of several faces the lowest is taken. Points on a plane or a line, which have no hull, rest on -y.
     """
     try:
         hull = ConvexHull(points)
@@ -84,7 +88,7 @@ def stood_up(asset: Asset, solids: list[ComponentSolid]) -> tuple[Asset, list[Co
     x, tets = asset.cage.vertices.astype(np.float64), asset.cage.tets
     volume = tet_volumes(x, tets)
     normal = resting_normal(x, (x[tets].mean(1) * volume[:, None]).sum(0) / volume.sum())
-    lean = float(np.degrees(np.arccos(np.clip(-normal[1], -1.0, 1.0))))
+    lean = lean_of(normal)
     if not LEANS[0] <= lean <= LEANS[1]:
         return asset, solids
     rotation = rotation_between(normal, (0.0, -1.0, 0.0))
@@ -114,7 +118,6 @@ COLUMN_BEND_RMS, COLUMN_SAG_RMS = 0.507, 0.730
 DIRECT_SIZE = 5000  # vertices, above which the equations are solved by iteration
 MASS_MAX = 3.0  # [kg] of an object without a named material: half of what a hand of 80 N can lift
 NOD = 0.003  # extents by which its own weight may displace any part; the photographs already show it sagged
-MODULI = (1, 2, 5)  # times powers of ten
 
 
 def suitable_material(vertices: np.ndarray, tets: np.ndarray) -> tuple[Material, dict[str, float]]:
@@ -150,18 +153,17 @@ def liftable(material: Material, volume: float) -> Material:
 
 def described(found: dict[str, float]) -> str:
     """Line on the choice of `suitable_material`."""
-    usual, other = MATERIALS[DEFAULT_MATERIAL].young, "--material NAME for another"
-    if found["young"] <= usual:
-        needed = f"it needs {found['needed']:.1e} of its {usual:.0e} Pa to bear its own weight"
-        return f"material: {DEFAULT_MATERIAL}; {needed} ({other})"
-    stiffened = f"stiffened from {usual:.0e} to {found['young']:.0e} Pa, as so slender a shape needs it"
-    return f"material: {DEFAULT_MATERIAL}, {stiffened} to bear its own weight ({other})"
+    usual = MATERIALS[DEFAULT_MATERIAL].young
+    text = f"; it needs {found['needed']:.1e} of its {usual:.0e} Pa"
+    if found["young"] > usual:
+        text = f", stiffened from {usual:.0e} to {found['young']:.0e} Pa, which so slender a shape needs"
+    return f"material: {DEFAULT_MATERIAL}{text} to bear its own weight (--material NAME for another)"
 
 
 def rounded_up(young: float) -> float:
     """The next of 1, 2, 5, 10, 20, ... [Pa]."""
     power = 10.0 ** np.floor(np.log10(young))
-    return float(next(m * power for m in (*MODULI, 10) if m * power >= young * (1 - 1e-9)))
+    return float(next(m * power for m in (1, 2, 5, 10) if m * power >= young * (1 - 1e-9)))
 
 
 def bearing_modulus(vertices: np.ndarray, tets: np.ndarray, material: Material) -> float:
@@ -169,18 +171,16 @@ def bearing_modulus(vertices: np.ndarray, tets: np.ndarray, material: Material) 
 
     vertices, tets  of its cage [m], +y up; of several pieces each must
     """
-    piece = vertex_components(tets)
-    return max(_modulus_of_piece(vertices, tets[piece == k], material) for k in range(int(piece.max()) + 1))
-
-
-def _modulus_of_piece(vertices: np.ndarray, tets: np.ndarray, material: Material) -> float:
-    index, own = np.unique(tets, return_inverse=True)
-    x, own = vertices[index].astype(np.float64), own.reshape(-1, 4)
-    height = float(np.ptp(x[:, 1]))
-    mass = _masses(x, own, material.density)
-    moved = deflections(unit_stiffness(x, own, material.poisson), mass * GRAVITY, foot_of(x, mass))
-    rms = np.sqrt(np.einsum("v,vil,vil->l", mass, moved, moved) / mass.sum()) / height  # of the loads along x, y, z
-    return max(max(rms[0], rms[2]) / (COLUMN_BEND_RMS * BUCKLING_SHARE), rms[1] / (COLUMN_SAG_RMS * SAG_MAX))
+    piece, needed = vertex_components(tets), []
+    for k in range(int(piece.max()) + 1):
+        index, own = np.unique(tets[piece == k], return_inverse=True)
+        x, own = vertices[index].astype(np.float64), own.reshape(-1, 4)
+        mass = _masses(x, own, material.density)
+        moved = deflections(unit_stiffness(x, own, material.poisson), mass * GRAVITY, foot_of(x, mass))
+        rms = np.sqrt(np.einsum("v,vil,vil->l", mass, moved, moved) / mass.sum())  # under loads along x, y, z
+        bend, sag = max(rms[0], rms[2]) / np.ptp(x[:, 1]), rms[1] / np.ptp(x[:, 1])
+        needed.append(float(max(bend / (COLUMN_BEND_RMS * BUCKLING_SHARE), sag / (COLUMN_SAG_RMS * SAG_MAX))))
+    return max(needed)
 
 
 def bent_by_weight(

@@ -19,14 +19,13 @@ from assets.orientation import AXES, find_gravity, most_likely, up_probabilities
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.planes import LEVEL_COS
-from prepare.cleaning import MIN_GAUSSIANS, cut_out, largest_component
+from prepare.cleaning import MIN_GAUSSIANS, component_numbers, cut_out
 from prepare.environment.support_planes import (
     SupportPlane,
     drop_point,
-    floor_under,
-    relative_to_floor,
     standing_eye,
     support_planes,
+    with_floor_under,
 )
 from prepare.environment.surfels import (
     Surfels,
@@ -84,28 +83,6 @@ class EnvironmentOptions:
 
 
 @dataclass(frozen=True)
-class Upright:
-    """A scene with its floor at y = 0, in metres.
-
-    gaussians, cut  without and of the objects that are cut out
-    low, high       corners (3,) [m] of its extent, limited in height
-    up, chances     the file's axis that points up, and the probability of each axis that was considered
-    rotation        (3, 3) from the file's frame
-    size, factor    largest extent [m]; metres per unit of the file
-    """
-
-    gaussians: Gaussians
-    cut: dict[int, Gaussians]
-    low: np.ndarray
-    high: np.ndarray
-    up: str
-    chances: dict[str, float]
-    rotation: np.ndarray
-    size: float
-    factor: float
-
-
-@dataclass(frozen=True)
 class Surface:
     """The oriented surface of a scene in the voxels of its coarse grid.
 
@@ -131,8 +108,7 @@ def prepare_environment(
 ) -> tuple[Asset, dict[int, Gaussians]]:
     """Make the splat of a room or a garden a static environment. Taichi must be running.
 
-    progress  called with a step of ENVIRONMENT_STEPS and the fraction of it that is done
-    Out.      the asset, +y up, floor at y = 0, the drop at x = z = 0; and the Gaussians of each id that was cut out
+    Out.  the asset, +y up, floor at y = 0, the drop at x = z = 0; and the Gaussians of each id that was cut out
     Raises BadInput where there is no floor, and for too many cells.
     """
     begin = time.perf_counter()
@@ -141,44 +117,46 @@ def prepare_environment(
     progress("clean", 0.0)
     main = main_component(gaussians)
     progress("upright", 0.0)
-    scene = stand_upright(gaussians, main, options)
+    level, (low, high), turned = stand_upright(gaussians, main, options)
+    cut, rest = cut_out(level, options.cut)
     progress("surface", 0.0)
-    surface = orient_surface(scene.gaussians, scene.low, scene.high, options.cell)
+    surface = orient_surface(rest, low, high, options.cell)
     progress("planes", 0.0)
     points = surface.surfels.points
-    planes = support_planes(*level_surface(surface, scene.low, scene.high))
+    planes = support_planes(*level_surface(surface, low, high))
     on, drop, clear = drop_point(planes, points)
     if on.kind == "table":
-        planes = relative_to_floor(planes, floor_under(planes, on))
+        planes = with_floor_under(planes, on)
     eye = standing_eye(planes[0], drop, on, points, surface.voxels)
     progress("distance", 0.0)
-    coarse, fine = distance_grids(surface, planes, fine_boxes(surface, planes, on, drop), progress)
+    grid, fine = distance_grids(surface, planes, fine_boxes(surface, planes, on, drop), progress)
 
     ground, unturned = planes[0].height, np.eye(3)
     to = -np.array([drop[0], ground, drop[2]])
     rows = tuple(map(plane_row, planes))
     environment = Environment(ground, tuple(drop), tuple(eye), clear, rows, tuple(fine)).transformed(unturned, to)
-    lean = np.degrees(np.arccos(np.clip(scene.rotation[1] @ AXES[scene.up], -1, 1)))
     provenance = {
         "made_by": f"vrgs prepare --static {ENVIRONMENT_VERSION}",
         "options": {"up": options.up, "scale": options.scale, "cell": options.cell, "cut": list(options.cut)},
-        "up": scene.up,
-        "up_sure": round(scene.chances[scene.up], 2),
-        "up_probabilities": {up: round(p, 3) for up, p in scene.chances.items()},
-        "lean": round(float(lean), 2),
-        "size": scene.size,
-        "metres_per_unit": scene.factor,
+        **turned,
         "drop_on": on.kind,
-        "cells": [int(coarse.values.size), *(int(f.values.size) for f in fine)],
-        "spacings": [coarse.spacing, *(f.spacing for f in fine)],
-        "surfels": len(points),
+        **figures(surface, grid, fine),
         "seconds": round(time.perf_counter() - begin, 2),
     }
     progress("distance", 1.0)
-    grid = replace(coarse, values=coarse.values.astype(np.float16)).transformed(unturned, to)
-    moved = {k: p.transformed(unturned, to) for k, p in scene.cut.items()}
-    g = scene.gaussians.transformed(unturned, to)
-    return Asset(g, sdf=grid, provenance=provenance, environment=environment), moved
+    moved = {k: p.transformed(unturned, to) for k, p in cut.items()}
+    grid = grid.transformed(unturned, to)
+    return Asset(rest.transformed(unturned, to), sdf=grid, provenance=provenance, environment=environment), moved
+
+
+def figures(surface: Surface, coarse: DistanceGrid, fine: list[DistanceGrid]) -> dict:
+    """Sizes of the grids [cells], [m], and of the surface, for the provenance."""
+    grids = [coarse, *fine]
+    return {
+        "cells": [int(grid.values.size) for grid in grids],
+        "spacings": [grid.spacing for grid in grids],
+        "surfels": len(surface.surfels.points),
+    }
 
 
 def main_component(gaussians: Gaussians) -> Gaussians:
@@ -190,11 +168,15 @@ def main_component(gaussians: Gaussians) -> Gaussians:
     low, high = robust_bounds(points)
     if not 1e-6 < (high - low).max() < 1e6:
         raise BadInput(f"the scene's extent is {(high - low).max():.3g}; this cannot be used")
-    return solid.select(largest_component(points, low, high))
+    return solid.select(component_numbers(points, low, high) == 0)
 
 
-def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOptions) -> Upright:
-    """Level the scene by its floor, scale it to metres and cut objects out."""
+def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOptions) -> tuple:
+    """The scene with its floor at y = 0, in metres; corners (low, high) [m] of its extent, limited in height; and how
+    it was turned and scaled, for the provenance.
+
+    main  its Gaussians that are sure to belong to it
+    """
     normals, areas = normals_and_areas(main)
     weights = np.minimum(areas, float(np.percentile(areas, 99)))  # a smear must not outweigh a floor
     chances = up_probabilities(main) if options.up is None else {options.up: 1.0}
@@ -206,13 +188,20 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     size = options.scale or (longest if PLAUSIBLE_SIZE[0] <= longest <= PLAUSIBLE_SIZE[1] else USUAL_SIZE)
     factor = size / longest
     shift = -factor * np.array([0.0, floor, 0.0])
-    cut, rest = cut_out(gaussians.transformed(rotation, shift, factor), options.cut)
     low, high = factor * low + shift, factor * high + shift
     high[1] = min(high[1], MAX_HEIGHT)
     low[1] = max(low[1], -BELOW_FLOOR)
     if high[1] < MIN_HEIGHT:
         raise BadInput("nothing stands above the floor that was found")
-    return Upright(rest, cut, low, high, up, chances, rotation, size, factor)
+    turned = {
+        "up": up,
+        "up_sure": round(chances[up], 2),
+        "up_probabilities": {other: round(p, 3) for other, p in chances.items()},
+        "lean": round(float(np.degrees(np.arccos(np.clip(rotation[1] @ AXES[up], -1, 1)))), 2),  # [degrees]
+        "size": size,
+        "metres_per_unit": factor,
+    }
+    return gaussians.transformed(rotation, shift, factor), (low, high), turned
 
 
 def orient_surface(
@@ -231,7 +220,7 @@ def orient_surface(
     voxels = VoxelGrid.of(found.cells, origin, h, shape)
     if cameras is None:
         space = open_space(voxels, 0.0)
-        viewers = viewers_in(space, low[[0, 2]], high[[0, 2]], 0.0, np.random.default_rng(0))
+        viewers = viewers_in(space, low, high)
     else:
         space, viewers = open_space(voxels, float(low[1]), cameras), cameras
     return Surface(solid, oriented(found, viewers, voxels, voxels), voxels, space, viewers, origin, h, shape)
@@ -262,16 +251,19 @@ def fine_boxes(
     boxes = [(low - side, high + side) for low, high in near]
     if on is not None and on.kind == "floor":
         boxes.append((drop - [r, below, r], drop + [r, above, r]))
-    return boxes + [box_around(p, surface.spacing) for p in planes if p.kind != "floor"]
+    side, below, above = np.maximum(FINE_MARGIN, np.multiply(FINE_MARGIN_CELLS, surface.spacing))
+    for p in planes:
+        if p.kind != "floor":
+            (x0, z0), (x1, z1) = p.low - side, p.high + side
+            boxes.append((np.array([x0, p.height - below, z0]), np.array([x1, p.height + above, z1])))
+    return boxes
 
 
 def distance_grids(
     surface: Surface, planes: list[SupportPlane], boxes: list[tuple[np.ndarray, np.ndarray]], progress: Progress
 ) -> tuple[DistanceGrid, list[DistanceGrid]]:
-    """The coarse distance grid, and fine grids of boxes (low, high) [m]: of the first MAX_FINE_GRIDS with a surface.
-
-    Inside a fine grid the coarse one is empty.
-    """
+    """The coarse distance grid, and fine grids of the first MAX_FINE_GRIDS boxes (low, high) [m] with a surface, all in
+    float16. Inside a fine grid the coarse one is empty."""
     origin, h, shape = surface.origin, surface.spacing, surface.shape
     nodes = tuple(-(-n // COARSENING) + 1 for n in shape)
     winding = winding_number(surface.surfels, origin, COARSENING * h, nodes)
@@ -288,7 +280,7 @@ def distance_grids(
             continue
         fine.append(fine_grid(surface, winding, low, high, step, planes))
         phi = np.maximum(phi, depth_in_box(coarse, low + 1.5 * h, high - 1.5 * h))
-    return replace(coarse, values=phi), fine
+    return replace(coarse, values=phi.astype(np.float16)), fine
 
 
 def fine_grid(
@@ -318,20 +310,9 @@ def grid_around(low: np.ndarray, high: np.ndarray, h: float) -> tuple[np.ndarray
     return low - VOXEL_MARGIN * h, tuple(map(int, count))
 
 
-def box_around(plane: SupportPlane, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the fine grid of a plane, where the coarse grid has cells of h [m]."""
-    side, below, above = np.maximum(FINE_MARGIN, np.multiply(FINE_MARGIN_CELLS, h))
-    low, high = plane.low - side, plane.high + side
-    return (
-        np.array([low[0], plane.height - below, low[1]]),
-        np.array([high[0], plane.height + above, high[1]]),
-    )
-
-
 def in_voxels(voxels: VoxelGrid, s: Surfels) -> Surfels:
     """The surfels in occupied voxels of the coarse grid: no floaters."""
-    i = np.floor((s.points - voxels.origin) / voxels.spacing).astype(int)
-    return s.select(voxels.occupied[tuple(i.clip(0, np.array(voxels.occupied.shape) - 1).T)])
+    return s.select(voxels.at(s.points))
 
 
 def flattened(grid: DistanceGrid, planes: list[SupportPlane]) -> DistanceGrid:

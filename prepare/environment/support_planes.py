@@ -65,10 +65,11 @@ def support_planes(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) 
     near = np.abs(p[:, 1] - floor) < 2 * THICKNESS
     if not near.any():
         raise BadInput("no floor was found under the scene")
-    found = [planes_at(p[near], float(np.median(p[near, 1])), "floor")]
+    floors = planes_at(p[near], float(np.median(p[near, 1])), "floor")
+    if not floors:
+        raise BadInput("no floor was found under the scene")
     left = p[(p[:, 1] > floor + HEIGHTS[0]) & (p[:, 1] < floor + HEIGHTS[1])]
-    tried = set()
-    planes = []
+    tried, planes = set(), []
     while len(left):
         bins = ((left[:, 1] - floor) / BIN).astype(int)
         count = np.convolve(np.bincount(bins), np.ones(3), "same")
@@ -81,26 +82,23 @@ def support_planes(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) 
         slab = np.abs(left[:, 1] - height) < THICKNESS
         here = planes_at(left[slab], height, "shelf")
         planes += here
-        if here:
-            taken = np.zeros(len(left), bool)
-            for plane in here:
-                taken |= slab & plane.covers(left[:, [0, 2]])
-            left = left[~taken]
-    if not found[0]:
-        raise BadInput("no floor was found under the scene")
-    return [max(found[0], key=lambda s: s.area), *sorted(filter(free_above(planes), planes), key=lambda s: -s.area)]
+        taken = np.zeros(len(left), bool)
+        for plane in here:
+            taken |= slab & plane.covers(left[:, [0, 2]])
+        left = left[~taken]
+    boards = [p for p in planes if not is_underside(p, planes)]
+    return [max(floors, key=lambda s: s.area), *sorted(boards, key=lambda s: -s.area)]
 
 
-def floor_under(planes: list[SupportPlane], table: SupportPlane) -> SupportPlane:
-    """Plane that a table stands on: there may be a floor other than the one found, as in a garden."""
-    cells = table.corner + CELL * (np.argwhere(binary_dilation(table.mask, iterations=8)) + 0.5)
+def with_floor_under(planes: list[SupportPlane], table: SupportPlane) -> list[SupportPlane]:
+    """The planes with the one under a table as the floor, which may be another than the one found, as in a garden.
+
+    The floor comes first; planes that are not above it are left out.
+    """
+    cells = cell_centres(table)[binary_dilation(table.mask, iterations=8)]
     below = [p for p in planes if p.area >= GROUND_AREA and p.height < table.height - GROUND_DEPTH]
     below = [p for p in below if p.covers(cells).mean() > 0.3]
-    return max(below, key=lambda p: p.height, default=planes[0])
-
-
-def relative_to_floor(planes: list[SupportPlane], floor: SupportPlane) -> list[SupportPlane]:
-    """The planes with another one as the floor, that one first; those not above it are left out."""
+    floor = max(below, key=lambda p: p.height, default=planes[0])
     others = [replace(p, kind=kind_of(p.height - floor.height, p.area)) for p in planes if p is not floor]
     others = [p for p in others if HEIGHTS[0] < p.height - floor.height < HEIGHTS[1]]
     return [replace(floor, kind="floor"), *others]
@@ -111,15 +109,10 @@ def kind_of(height: float, area: float) -> str:
     return "table" if TABLE_HEIGHTS[0] <= height <= TABLE_HEIGHTS[1] and area >= TABLE_AREA else "shelf"
 
 
-def free_above(planes: list[SupportPlane]):
-    """Predicate of planes that are not just the underside of another plane's board."""
-
-    def free(plane: SupportPlane) -> bool:
-        cells = plane.corner + CELL * (np.argwhere(plane.mask) + 0.5)
-        over = [p.covers(cells) for p in planes if 0 < p.height - plane.height < MAX_BOARD]
-        return not over or np.any(over, axis=0).mean() < 0.5
-
-    return free
+def is_underside(plane: SupportPlane, planes: list[SupportPlane]) -> bool:
+    """True for a plane that is just the underside of another plane's board."""
+    over = [p.covers(cell_centres(plane)[plane.mask]) for p in planes if 0 < p.height - plane.height < MAX_BOARD]
+    return bool(over) and np.any(over, axis=0).mean() >= 0.5
 
 
 def planes_at(points: np.ndarray, height: float, kind: str) -> list[SupportPlane]:
@@ -153,10 +146,8 @@ ARM_LENGTH = 0.75  # [m] from the user to the drop
 
 
 def clearance(plane: SupportPlane, points: np.ndarray, above: tuple[float, float]) -> np.ndarray:
-    """Radius [m] (X, Z) of the free disc around each cell of a plane.
-
-    It is bounded by the plane's edge and by `points` [m] (N, 3) between two heights over it.
-    """
+    """Radius [m] (X, Z) of the disc around each cell of a plane that its edge, and points (N, 3) [m] between two
+    heights over it, leave free."""
     over = points[:, 1] - plane.height
     p = points[(over > above[0]) & (over < above[1])][:, [0, 2]]
     blocked = np.zeros(plane.mask.shape, bool)
@@ -173,20 +164,14 @@ def cell_centres(plane: SupportPlane) -> np.ndarray:
 
 
 def drop_point(planes: list[SupportPlane], points: np.ndarray) -> tuple[SupportPlane, np.ndarray, float]:
-    """Plane, point (3,) [m] and radius [m] of free space: on the table with most of it, else on the floor.
-
-    planes: the floor first; points [m] (N, 3) of the surface.
-    """
-    tables = []
-    for plane in planes:
-        if plane.kind == "table":
-            radius = clearance(plane, points, DROP_SPACE)
-            tables.append((float(radius.max()), plane, radius))
+    """Plane, point (3,) [m] and radius [m] of free space: on the table with most of it, else on the floor, which is the
+    first of the planes. points [m] (N, 3) of the surface."""
+    tables = [(plane, clearance(plane, points, DROP_SPACE)) for plane in planes if plane.kind == "table"]
     if tables:
-        most, plane, radius = max(tables, key=lambda t: min(t[0], AMPLE_CLEARANCE) + 0.02 * min(t[1].area, 2.0))
-        if most >= MIN_CLEARANCE:
+        plane, radius = max(tables, key=lambda t: min(t[1].max(), AMPLE_CLEARANCE) + 0.02 * min(t[0].area, 2.0))
+        if radius.max() >= MIN_CLEARANCE:
             x, z = cell_centres(plane)[np.unravel_index(radius.argmax(), radius.shape)]
-            return plane, np.array([x, plane.height, z]), most
+            return plane, np.array([x, plane.height, z]), float(radius.max())
     floor = planes[0]
     radius = clearance(floor, points, (DROP_SPACE[0], FLOOR_DROP_TOP))
     at = cell_centres(floor)
@@ -200,8 +185,8 @@ def drop_point(planes: list[SupportPlane], points: np.ndarray) -> tuple[SupportP
 def standing_eye(
     floor: SupportPlane, drop: np.ndarray, on: SupportPlane, points: np.ndarray, voxels: VoxelGrid
 ) -> np.ndarray:
-    """Place of the player's eye (3,) [m]: over free floor, near the drop, with nothing in between; where there is no
-    such place, at arm's length from the drop."""
+    """Place of the player's eye (3,) [m]: over free floor, near the drop, with nothing in between; else at arm's length
+    from the drop."""
     radius = clearance(floor, points, USER_SPACE)
     at = cell_centres(floor)
     away = np.linalg.norm(at - drop[[0, 2]], axis=2)
@@ -213,15 +198,8 @@ def standing_eye(
     for flat in best[np.isfinite(score.flat[best])]:
         x, z = at.reshape(-1, 2)[flat]
         eye = np.array([x, height, z])
-        if unobstructed(voxels, eye, drop + [0, 0.12, 0]):
+        way = drop + [0, 0.12, 0] - eye
+        count = max(2, int(np.linalg.norm(way) / (0.5 * voxels.spacing)))
+        if not voxels.at(eye + np.linspace(0, 1, count)[:, None] * way).any():
             return eye
     return np.array([drop[0], height, drop[2] + wanted])
-
-
-def unobstructed(voxels: VoxelGrid, a: np.ndarray, b: np.ndarray) -> bool:
-    """True if no occupied voxel lies between two points (3,) [m]."""
-    count = max(2, int(np.linalg.norm(b - a) / (0.5 * voxels.spacing)))
-    p = a + np.linspace(0, 1, count)[:, None] * (b - a)
-    i = np.floor((p - voxels.origin) / voxels.spacing).astype(int)
-    i = i[((i >= 0) & (i < voxels.occupied.shape)).all(1)]
-    return not voxels.occupied[tuple(i.T)].any()

@@ -18,10 +18,7 @@ DISC_RADIUS = 1.5  # standard deviations that are covered with points
 MAX_ACROSS = 7  # points across a disc: a huge Gaussian must not cost more than 49 others
 HAZE_THICKNESS, HAZE_ROUNDNESS = 0.35, 0.3  # least thickness of haze in voxels, and over its width
 HAZE_MIN = 0.012  # [m] least thickness of haze
-MIN_FLOATER_LENGTH, MIN_FLOATER_AREA = (
-    0.4,
-    0.12,
-)  # [m], [m^2]; an isolated component that is shorter or smaller is a floater
+MIN_LENGTH, MIN_AREA = 0.4, 0.12  # [m], [m^2]; an isolated component that is shorter or smaller is a floater
 
 
 @dataclass(frozen=True)
@@ -62,11 +59,9 @@ def disc_samples(g: Gaussians, spacing: float) -> tuple[np.ndarray, np.ndarray, 
 def surfels(g: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, int, int]) -> Surfels:
     """One surfel for each voxel of a grid that the Gaussians touch, with normals of arbitrary sign.
 
-    Voxel (i, j, k) has its corner at origin + spacing (i, j, k) [m].
-
-    The normal is the direction of the least spread of the Gaussians of the voxel and of its 26 neighbours, with their
-    own extents: sum w ((x - mean)(x - mean)^T + n-flattened Sigma). Area: that of a plane in a cube. Raises BadInput
-    where there are no Gaussians.
+    Voxel (i, j, k) has its corner at origin + spacing (i, j, k) [m]. The normal is the direction of the least spread of
+    the Gaussians of the voxel and of its 26 neighbours, with their own extents: sum w ((x - mean)(x - mean)^T
+    + n-flattened Sigma). Area: that of a plane in a cube. Raises BadInput where there are no Gaussians.
     """
     if not len(g):
         raise BadInput("nothing is opaque and thin enough to be solid; there is no surface")
@@ -112,16 +107,14 @@ def haze(g: Gaussians, h: float) -> np.ndarray:
 
 
 def without_floaters(s: Surfels, shape: tuple[int, int, int], spacing: float) -> Surfels:
-    """The surfels of components, connected across corners, of at least MIN_FLOATER_LENGTH and MIN_FLOATER_AREA."""
+    """The surfels of components, connected across corners, of at least MIN_LENGTH and MIN_AREA."""
     grid = np.zeros(shape, bool)
     grid[tuple(s.cells.T)] = True
     labels, _ = label(grid, np.ones((3, 3, 3)))
     of = labels[tuple(s.cells.T)]
-    long = [0, *(max(c.stop - c.start for c in box) for box in find_objects(labels))]
-    keep = (spacing * np.array(long) >= MIN_FLOATER_LENGTH) & (
-        spacing**2 * np.bincount(of, minlength=len(long)) >= MIN_FLOATER_AREA
-    )
-    return s.select(keep[of])
+    length = spacing * np.array([0, *(max(c.stop - c.start for c in box) for box in find_objects(labels))])
+    area = spacing**2 * np.bincount(of, minlength=len(length))
+    return s.select(((length >= MIN_LENGTH) & (area >= MIN_AREA))[of])
 
 
 VIEWERS = 28
@@ -148,6 +141,13 @@ class VoxelGrid:
         occupied[tuple(voxels.T)] = True
         return cls(occupied, np.asarray(origin, np.float64), float(spacing))
 
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """Mask (N,) of points (N, 3) [m] in occupied voxels; outside of the grid there are none."""
+        i = np.floor((points - self.origin) / self.spacing).astype(np.int32)
+        found = ((i >= 0) & (i < self.occupied.shape)).all(1)
+        found[found] = self.occupied[tuple(i[found].T)]
+        return found
+
 
 def open_space(room: VoxelGrid, floor: float, viewers: np.ndarray | None = None) -> VoxelGrid:
     """The largest connected empty space over the floor [m], or that with most of the viewers (V, 3) [m], as the
@@ -166,16 +166,12 @@ def open_space(room: VoxelGrid, floor: float, viewers: np.ndarray | None = None)
     return VoxelGrid(free, room.origin, room.spacing)
 
 
-def viewers_in(
-    space: VoxelGrid, low: np.ndarray, high: np.ndarray, floor: float, rng: np.random.Generator
-) -> np.ndarray:
-    """Points [m] (V, 3) in an open space, at VIEWER_HEIGHTS over the floor, between x, z `low` and `high` (2,)."""
-    at = [space.origin[k] + space.spacing * (np.arange(n) + 0.5) for k, n in enumerate(space.occupied.shape)]
-    limits = (low[0], high[0]), (floor + VIEWER_HEIGHTS[0], floor + VIEWER_HEIGHTS[1]), (low[1], high[1])
-    x, y, z = ((p > a) & (p < b) for p, (a, b) in zip(at, limits, strict=True))
-    inside = np.argwhere(space.occupied & x[:, None, None] & y[:, None] & z)
-    chosen = rng.choice(len(inside), min(VIEWERS, len(inside)), replace=False)
-    return space.origin + space.spacing * (inside[chosen] + 0.5)
+def viewers_in(space: VoxelGrid, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Points (V, 3) [m] in an open space over the floor y = 0, at VIEWER_HEIGHTS, between corners (3,) in x and z."""
+    centres = space.origin + space.spacing * (np.argwhere(space.occupied) + 0.5)
+    low, high = (np.array([end[0], y, end[2]]) for end, y in zip((low, high), VIEWER_HEIGHTS, strict=True))
+    inside = centres[((centres > low) & (centres < high)).all(1)]
+    return inside[np.random.default_rng(0).choice(len(inside), min(VIEWERS, len(inside)), replace=False)]
 
 
 @ti.func

@@ -117,9 +117,7 @@ def signed_distance(
     nodes = origin + spacing * np.moveaxis(np.indices(shape, np.float32), 0, -1)
     solid = sample(winding.values, winding.origin, winding.spacing, nodes) > mean[tuple(nearest)] + MIN_JUMP
     if space is not None:
-        voxel = np.floor((nodes.reshape(-1, 3) - space.origin) / space.spacing + 1e-3).astype(np.int32)
-        voxel = voxel.clip(0, np.array(space.occupied.shape) - 1)
-        solid &= ~space.occupied[tuple(voxel.T)].reshape(shape)
+        solid &= ~space.at(nodes.reshape(-1, 3) + 1e-3 * space.spacing).reshape(shape)
     # A node off the band lies `away` voxels from one that is itself |phi| off the surface.
     beyond = away + np.abs(phi[tuple(nearest)])
     far = np.where(solid, -beyond, beyond)

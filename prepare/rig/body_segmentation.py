@@ -12,17 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.spatial import cKDTree
+from scipy.sparse.csgraph import connected_components
 
 from assets.asset import Cage
 from assets.gaussians import Gaussians
-from core.distance_grid import DistanceGrid
 from core.rotation import matrices_from_quaternions
-from core.tetmesh import shared_face_pairs, tet_faces
-from prepare.rig.landmarks import SIDES, TREE, Held, Landmarks, distance_to_segment
+from core.tetmesh import boundary_surface, shared_face_pairs, tet_faces
+from prepare.rig.landmarks import SIDES, TREE, Held, Landmarks, Solid, distance_to_segment
 from prepare.rig.retargeting import BONES, Retargeted
 
 # Radii of the flesh about a bone, relative to the stature: a point belongs to the bone whose radius it exceeds least.
@@ -45,8 +42,6 @@ MIN_HELD = 0.015  # of the solid: such patches are smaller
 HAND_DISTANCE = 0.06  # of the height: a held object is this near to a hand
 BALL_TOLERANCE = 0.12  # of a ball's radius, root mean square: an object with smaller deviation is a ball
 BALL_COVERAGE, MAX_BALLS = 0.9, 12
-# half of the 26 neighbours of a node
-NEIGHBOURS = [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) > (0, 0, 0)]
 
 Joined = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (joints a, joints b, centres (n, 3)) -> mask (n,)
 
@@ -58,48 +53,6 @@ class Segments:
     tets: np.ndarray
     gaussians: np.ndarray
     joined: Joined
-
-
-@dataclass(frozen=True)
-class Solid:
-    """Nodes of a grid inside a body: points (n, 3) [m], spacing [m], depth (n,) [m], and their neighbour graph."""
-
-    points: np.ndarray
-    spacing: float
-    depth: np.ndarray
-    graph: coo_matrix
-    tree: cKDTree
-
-    @classmethod
-    def of(cls, sdf: DistanceGrid) -> Solid:
-        """The nodes with negative distance, connected to their 26 neighbours."""
-        inside = np.asarray(sdf.values, np.float32) < 0
-        spacing = float(sdf.spacing)
-        node = np.argwhere(inside)
-        number = np.full(inside.shape, -1)
-        number[inside] = np.arange(len(node))
-        number = np.pad(number, 1, constant_values=-1)
-        rows, columns, lengths = [], [], []
-        for step in NEIGHBOURS:
-            other = number[tuple((node + 1 + step).T)]
-            here = np.flatnonzero(other >= 0)
-            rows.append(here)
-            columns.append(other[here])
-            lengths.append(np.full(len(here), spacing * np.linalg.norm(step)))
-        ends = np.concatenate(rows), np.concatenate(columns)
-        graph = coo_matrix((np.concatenate(lengths), ends), shape=(len(node),) * 2).tocsr()
-        points = np.asarray(sdf.origin, np.float64) + spacing * node
-        depth = spacing * ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1][inside]
-        return cls(points, spacing, depth, graph, cKDTree(points))
-
-    def geodesic_distances(self, segments: list) -> np.ndarray:
-        """Length [m] of the shortest path through the solid from each segment (a, b) to each point, (n, segments)."""
-        result = np.empty((len(self.points), len(segments)))
-        for k, (a, b) in enumerate(segments):
-            steps = max(int(np.linalg.norm(b - a) / self.spacing), 1) + 1
-            start = np.unique(self.tree.query(a + np.linspace(0, 1, steps)[:, None] * (b - a))[1])
-            result[:, k] = dijkstra(self.graph, directed=False, indices=start, min_only=True)
-        return result
 
 
 @dataclass(frozen=True)
@@ -218,14 +171,13 @@ def covering_balls(solid: Solid, own: np.ndarray) -> list[tuple[np.ndarray, floa
     return result
 
 
-def shortened(g: Gaussians, person: SegmentedPerson, joined: Joined) -> tuple[Gaussians, int]:
-    """Gaussians that do not extend into a segment cut from theirs, and the number that were shortened.
+def shortened(g: Gaussians, person: SegmentedPerson, joined: Joined) -> Gaussians:
+    """Gaussians that do not extend into a segment cut from theirs.
 
     A long Gaussian hidden under an arm would be a spike once the arm has moved.
     """
     k = np.argmax(g.log_scales, axis=1)
-    rows = np.arange(len(g))
-    sigma = np.exp(g.log_scales[rows, k].astype(np.float64))
+    sigma = np.exp(g.log_scales.max(axis=1).astype(np.float64))
     long = np.flatnonzero(VISIBLE_SIGMAS * sigma > person.solid.spacing)
     means = g.means[long].astype(np.float64)
     axis = matrices_from_quaternions(g.quats[long].astype(np.float64))[np.arange(len(long)), :, k[long]]
@@ -241,7 +193,7 @@ def shortened(g: Gaussians, person: SegmentedPerson, joined: Joined) -> tuple[Ga
     scales = g.log_scales.copy()
     largest = np.log(factor * sigma[long]).astype(np.float32)
     scales[long] = np.where((factor < 1)[:, None], np.minimum(scales[long], largest[:, None]), scales[long])
-    return replace(g, log_scales=scales), int((factor < 1).sum())
+    return replace(g, log_scales=scales)
 
 
 def skeleton_adjacency(body: Retargeted) -> Joined:
@@ -272,15 +224,6 @@ def skeleton_adjacency(body: Retargeted) -> Joined:
 MAX_ROUNDS = 20  # of giving disconnected fragments to their neighbours; each removes some
 
 
-def inner_and_boundary_faces(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inner faces: the two tets of each (n, 2) and its vertices (n, 3); and the boundary's triangles, outward."""
-    faces = tet_faces(tets)
-    pairs = shared_face_pairs(tets)
-    alone = np.ones(len(faces), bool)
-    alone[pairs] = False
-    return pairs // 4, faces[pairs[:, 0]], faces[alone]
-
-
 def cut(cage: Cage, label: np.ndarray, joined: Joined) -> tuple[Cage, np.ndarray, np.ndarray]:
     """Open the cage between tets that belong to joints which do not meet there.
 
@@ -288,14 +231,16 @@ def cut(cage: Cage, label: np.ndarray, joined: Joined) -> tuple[Cage, np.ndarray
     joined  joined(a, b, centre): mask of where tets of joints a and b (n,) stay connected at face centres (n, 3)
     Out.    the cage, still connected; the labels, changed for fragments, (T,); the old index of each vertex
     """
-    pairs, faces, _ = inner_and_boundary_faces(cage.tets)
-    x = cage.vertices.astype(np.float64)
-    centre = x[faces].mean(1)
-    label = label.copy()
-    T = len(cage.tets)
-    for _ in range(MAX_ROUNDS):
+    shared = shared_face_pairs(cage.tets)
+    pairs, centre = shared // 4, cage.vertices.astype(np.float64)[tet_faces(cage.tets)[shared[:, 0]]].mean(1)
+    label, T = label.copy(), len(cage.tets)
+
+    def kept_pairs() -> np.ndarray:
         a, b = label[pairs[:, 0]], label[pairs[:, 1]]
-        kept = (a == b) | joined(a, b, centre)
+        return (a == b) | joined(a, b, centre)
+
+    for _ in range(MAX_ROUNDS):
+        kept = kept_pairs()
         count, fragment = connected_components(coo_matrix((np.ones(kept.sum()), pairs[kept].T), shape=(T, T)), False)
         if count == 1:
             break
@@ -306,18 +251,12 @@ def cut(cage: Cage, label: np.ndarray, joined: Joined) -> tuple[Cage, np.ndarray
         over = over[(fragment[over[:, 0]] != main) & (fragment[over[:, 0]] != fragment[over[:, 1]])]
         if not len(over):  # fragments that met in a vertex or an edge only
             break
-        width = int(label.max()) + 1
-        votes = np.bincount(fragment[over[:, 0]] * width + label[over[:, 1]], minlength=count * width).reshape(
-            count, -1
-        )
-        lost = np.flatnonzero(votes.any(1))
-        for p in lost:
+        votes = np.zeros((count, int(label.max()) + 1), int)
+        np.add.at(votes, (fragment[over[:, 0]], label[over[:, 1]]), 1)
+        for p in np.flatnonzero(votes.any(1)):
             label[fragment == p] = np.argmax(votes[p])
-    a, b = label[pairs[:, 0]], label[pairs[:, 1]]
-    kept = (a == b) | joined(a, b, centre)
-    tets, source = split_vertices(cage.tets, pairs[kept])
-    surface = inner_and_boundary_faces(tets)[2]
-    return Cage(cage.vertices[source], tets.astype(np.int32), surface.astype(np.int32)), label, source
+    tets, source = split_vertices(cage.tets, pairs[kept_pairs()])
+    return Cage(cage.vertices[source], tets.astype(np.int32), boundary_surface(tets)), label, source
 
 
 def split_vertices(tets: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
@@ -70,32 +71,67 @@ class Landmarks:
     joints: dict[str, str]
 
 
-def landmarks_of(asset: Asset, given: dict | None = None, solid: DistanceGrid | None = None) -> Landmarks:
+# half of the 26 neighbours of a node
+NEIGHBOURS = [step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
+
+
+@dataclass(frozen=True)
+class Solid:
+    """Nodes of a grid inside a body: points (n, 3) [m], spacing [m], depth (n,) [m], and their neighbour graph."""
+
+    points: np.ndarray
+    spacing: float
+    depth: np.ndarray
+    graph: csr_matrix
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, sdf: DistanceGrid) -> Solid:
+        """The nodes with negative distance, connected to their 26 neighbours."""
+        inside, spacing = np.pad(np.asarray(sdf.values, np.float32) < 0, 1), float(sdf.spacing)
+        node = np.argwhere(inside)
+        number = np.full(inside.shape, -1)
+        number[inside] = np.arange(len(node))
+        rows, columns, lengths = [], [], []
+        for step in NEIGHBOURS:
+            other = number[tuple((node + step).T)]
+            here = np.flatnonzero(other >= 0)
+            rows.append(here)
+            columns.append(other[here])
+            lengths.append(np.full(len(here), spacing * np.linalg.norm(step)))
+        ends = np.concatenate(rows), np.concatenate(columns)
+        graph = coo_matrix((np.concatenate(lengths), ends), shape=(len(node),) * 2).tocsr()
+        points = np.asarray(sdf.origin, np.float64) + spacing * (node - 1)
+        return cls(points, spacing, spacing * ndimage.distance_transform_edt(inside)[inside], graph, cKDTree(points))
+
+    def geodesic_distances(self, segments: Sequence) -> np.ndarray:
+        """Length [m] of the shortest path through the solid from each segment (a, b) to each point, (n, segments)."""
+        result = np.empty((len(self.points), len(segments)))
+        for k, (a, b) in enumerate(segments):
+            steps = max(int(np.linalg.norm(b - a) / self.spacing), 1) + 1
+            start = np.unique(self.tree.query(a + np.linspace(0, 1, steps)[:, None] * (b - a))[1])
+            result[:, k] = dijkstra(self.graph, directed=False, indices=start, min_only=True)
+        return result
+
+
+def landmarks_of(asset: Asset, given: dict, grid: DistanceGrid) -> Landmarks:
     """Landmarks of a person who stands upright: those `given`, the others estimated. Raises BadInput.
 
-    solid  distance grid to estimate from; None: the asset's own, coarser than the one its cage was made from
+    grid  the distance grid that the cage was made from, finer than the asset's
     """
-    given = given or {}
-    grid = solid or asset.sdf
-    if grid is None:
-        raise BadInput("landmarks cannot be estimated without a distance grid")
-    points, source = estimate(grid, given)
+    points, source = estimate(Solid.of(grid), given)
     low, high = asset.cage.vertices.min(0), asset.cage.vertices.max(0)
     limit = MAX_LANDMARK_DISTANCE * (high - low).max()
-    for name in NAMES:
-        if name in given:
-            points[name], source[name] = given[name], "given"
-            if np.abs(given[name] - (low + high) / 2).max() > limit:
-                raise BadInput(f"the landmark {name} lies {limit:.3g} m or more from the body: is it in metres?")
+    for name in given.keys() & set(NAMES):
+        source[name] = "given"
+        if np.abs(given[name] - (low + high) / 2).max() > limit:
+            raise BadInput(f"the landmark {name} lies {limit:.3g} m or more from the body: is it in metres?")
     return Landmarks(points, source, given.get("held"), given.get("joints", {}))
 
 
-def estimate(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
-    """Landmarks from the solid of a grid, and the source of each; those `given` already guide the others."""
-    solid = np.asarray(grid.values, np.float32) < 0
-    node, spacing = np.argwhere(solid), float(grid.spacing)
-    x = np.asarray(grid.origin) + spacing * node
-    deep = ndimage.distance_transform_edt(solid)[tuple(node.T)] * spacing
+def estimate(solid: Solid, given: dict) -> tuple[dict, dict]:
+    """Landmarks of a person's solid and how each was found; those `given` guide the others."""
+    x, deep, spacing = solid.points, solid.depth, solid.spacing
     foot, top = x[:, 1].min(), x[:, 1].max()
     H = top - foot
     height = (x[:, 1] - foot) / H
@@ -142,7 +178,7 @@ def estimate(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
     found |= {k: v for k, v in given.items() if k in NAMES}
     trunk = {"chest": chest, "pelvis": pelvis, "left": left, "forward": forward}
     for name, sign in (("right", -1.0), ("left", 1.0)):
-        arm, how = find_arm(x, height, H, found, trunk, name, sign, spacing)
+        arm, how = find_arm(solid, found, trunk, name, sign)
         found |= {k: v for k, v in arm.items() if k not in found}
         source |= dict.fromkeys(arm, how)
     return found, source
@@ -171,9 +207,11 @@ def two_legs(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     return x[flat @ axis < 0].mean(0), x[flat @ axis >= 0].mean(0)
 
 
-def find_arm(x, height, H, found: dict, trunk: dict, name: str, sign: float, spacing: float) -> tuple[dict, str]:
+def find_arm(solid: Solid, found: dict, trunk: dict, name: str, sign: float) -> tuple[dict, str]:
     """Elbow, wrist and fingertips of one arm, along what stands out from trunk and thighs; and their source."""
-    shoulder = found[f"{name}_shoulder"]
+    x, spacing, shoulder = solid.points, solid.spacing, found[f"{name}_shoulder"]
+    foot, H = x[:, 1].min(), np.ptp(x[:, 1])
+    height = (x[:, 1] - foot) / H
     fraction = np.clip((x[:, 1] - trunk["pelvis"][1]) / (trunk["chest"][1] - trunk["pelvis"][1]), 0, 1)[:, None]
     off = x - (trunk["pelvis"] + fraction * (trunk["chest"] - trunk["pelvis"]))
     side, front = off @ trunk["left"], off @ trunk["forward"]
@@ -182,8 +220,9 @@ def find_arm(x, height, H, found: dict, trunk: dict, name: str, sign: float, spa
         core |= distance_to_segment(x, found[f"{s}_hip"], found[f"{s}_knee"]) < CORE_LEG * H
     begin = np.linalg.norm(x - shoulder, axis=1)
     arm = ((~core & (height < NECK - 0.02)) | (begin < 0.04 * H)) & (height > KNEE) & (sign * side > -0.04 * H)
-    points, start = x[arm], np.argmin(begin[arm])
-    path = geodesic(points, start, spacing)
+    arm = np.flatnonzero(arm)
+    points, graph = x[arm], solid.graph[arm][:, arm]
+    path = dijkstra(graph, directed=False, indices=np.argmin(begin[arm]))  # [m]
     length = path[np.isfinite(path)].max(initial=0.0)
     lengths = {"elbow": UPPER_ARM, "wrist": UPPER_ARM + FOREARM, "hand": UPPER_ARM + FOREARM + 0.8 * HAND}
     if length < MIN_ARM * H:  # it hangs close to the body
@@ -196,9 +235,8 @@ def find_arm(x, height, H, found: dict, trunk: dict, name: str, sign: float, spa
         result[f"{name}_{k}"] = points[band].mean(0)
     elbow, wrist, hand = (result[f"{name}_{k}"] for k in lengths)
     ahead = (wrist - elbow) / max(np.linalg.norm(wrist - elbow), 1e-9)
-    if (hand - wrist) @ ahead < MIN_WRIST_COSINE * np.linalg.norm(
-        hand - wrist
-    ):  # the path led on into what the hand touches
+    bent = (hand - wrist) @ ahead < MIN_WRIST_COSINE * np.linalg.norm(hand - wrist)
+    if bent:  # the path led on into what the hand touches
         result[f"{name}_hand"] = wrist + 0.8 * HAND * H * ahead
     return result, "solid"
 
@@ -209,19 +247,9 @@ def distance_to_segment(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarr
     return np.linalg.norm(x - a - t[:, None] * (b - a), axis=1)
 
 
-def geodesic(points: np.ndarray, start: int, spacing: float) -> np.ndarray:
-    """Length [m] of the shortest path through grid points (n, 3) from one of them, inf where there is none."""
-    pairs = cKDTree(points).query_pairs(1.75 * spacing, output_type="ndarray")  # all 26 neighbours
-    length = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
-    graph = coo_matrix((length, pairs.T), shape=(len(points),) * 2).tocsr()
-    return dijkstra(graph, directed=False, indices=start)
-
-
 def read_landmarks(path: str | Path) -> dict:
-    """Read and check the JSON object of a landmarks file: {NAME: [x, y, z], ..., "held": [...], "joints": {...}}.
-
-    Coordinates are metres in the prepared asset's frame. Raises BadInput.
-    """
+    """The JSON object of a landmarks file: {NAME: [x, y, z], ..., "held": [...], "joints": {...}}; coordinates are
+    metres in the prepared asset's frame. Raises BadInput."""
     found = from_plain(dict[str, Any], read_json(Path(path), MAX_FILE_SIZE), str(path))
     kinds = {**dict.fromkeys(NAMES, Coordinates), "held": list[Held], "joints": dict[str, str]}
     for name in found.keys() - kinds.keys():
@@ -236,6 +264,9 @@ for _s in SIDES:
     TREE |= {f"{_s}_clavicle": "chest", f"{_s}_shoulder": f"{_s}_clavicle", f"{_s}_elbow": f"{_s}_shoulder"}
     TREE |= {f"{_s}_wrist": f"{_s}_elbow"}
     TREE |= {f"{_s}_hip": "pelvis", f"{_s}_knee": f"{_s}_hip", f"{_s}_ankle": f"{_s}_knee"}
+
+
+NAME_IT = "name it under joints in a landmarks file"
 
 
 def name_parts(name: str) -> list[str]:
@@ -253,7 +284,9 @@ def match_joints(rig: Rig, overrides: dict[str, str]) -> dict[str, int]:
         if name not in TREE or node not in rig.names:
             raise BadInput(f"the joint {name[:40]!r} is unknown, or the rig has no node {node[:40]!r}")
         found[name] = rig.names.index(node)
-    count = descendants(rig.parents)
+    count = np.zeros(len(rig.parents), np.int64)  # of descendants
+    for k in range(len(count)):
+        count[ancestors(rig.parents, k)[1:]] += 1
     tokens = [name_parts(n) for n in rig.names]
     for side in SIDES:
         of_side = [bool({side, side[0]} & set(t)) for t in tokens]
@@ -262,8 +295,7 @@ def match_joints(rig: Rig, overrides: dict[str, str]) -> dict[str, int]:
             if first not in found:
                 fits = [k for k, t in enumerate(tokens) if of_side[k] and set(t) & set(keys)]
                 if not fits:
-                    raise BadInput(f"the rig has no joint for the {side} {chain[0]}; name it under joints in a "
-                                   f"landmarks file")  # fmt: skip
+                    raise BadInput(f"the rig has no joint for the {side} {chain[0]}; {NAME_IT}")
                 found[first] = fits[0]  # parents come first
             for above, below in itertools.pairwise(chain):
                 if f"{side}_{below}" not in found:
@@ -279,20 +311,11 @@ def match_joints(rig: Rig, overrides: dict[str, str]) -> dict[str, int]:
     if "head" not in found:
         heads = [k for k, t in enumerate(tokens) if "head" in t and found["chest"] in ancestors(rig.parents, k)]
         if not heads:
-            raise BadInput("the rig has no joint for the head; name it under joints in a landmarks file")
+            raise BadInput(f"the rig has no joint for the head; {NAME_IT}")
         found["head"] = heads[0]
     line = ancestors(rig.parents, found["head"])
     found.setdefault("neck", line[max(line.index(found["chest"]) - 1, 0)])
     return found
-
-
-def descendants(parents: np.ndarray) -> np.ndarray:
-    """Number of descendants of each joint, (J,)."""
-    count = np.zeros(len(parents), np.int64)
-    for j in range(len(parents) - 1, -1, -1):
-        if parents[j] >= 0:
-            count[parents[j]] += count[j] + 1
-    return count
 
 
 def ancestors(parents: np.ndarray, j: int) -> list[int]:

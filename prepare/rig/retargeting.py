@@ -38,13 +38,13 @@ class Retargeted:
     rest       joints in the rest pose, in the asset's frame [m], (J, 3); their axes are the asset's
     tips       ends of the last bones, {name: (3,)}
     frames     local translation, rotation, scale of each frame, (F, J, ...)
-    residual   {landmark: (after a similarity alone, after bones of equal lengths left and right) [m]}
+    residual   distance [m] of each landmark from its joint, as bones have equal lengths left and right
     """
 
     rest: np.ndarray
     tips: dict[str, np.ndarray]
     frames: Pose
-    residual: dict[str, tuple[float, float]]
+    residual: dict[str, float]
 
 
 def frame_of(d: np.ndarray, h: np.ndarray) -> np.ndarray:
@@ -75,35 +75,23 @@ def rest_skeleton(joints: dict[str, int], landmarks: Landmarks, world: np.ndarra
     tips = {"head": p["head_top"]}
     for chain, tip in ((ARM, "hand"), (LEG, "foot")):
         names = (*chain, tip)
-        lengths = [
-            np.mean([np.linalg.norm(p[f"{s}_{b}"] - p[f"{s}_{a}"]) for s in SIDES])
-            for a, b in itertools.pairwise(names)
-        ]
         for s in SIDES:
-            at_joint = p[f"{s}_{chain[0]}"]
-            place[f"{s}_{chain[0]}"] = at_joint
-            for a, b, n in zip(names, names[1:], lengths, strict=False):
-                bone = p[f"{s}_{b}"] - p[f"{s}_{a}"]
+            place[f"{s}_{chain[0]}"] = p[f"{s}_{chain[0]}"]
+        for a, b in itertools.pairwise(names):
+            bones = {s: p[f"{s}_{b}"] - p[f"{s}_{a}"] for s in SIDES}
+            mean = np.mean([np.linalg.norm(bone) for bone in bones.values()])
+            for s, bone in bones.items():
                 if np.linalg.norm(bone) < 1e-9:
                     raise BadInput(f"the landmarks {s}_{a} and {s}_{b} are at one place")
-                at_joint = at_joint + n * bone / np.linalg.norm(bone)
-                (tips if b == tip else place)[f"{s}_{b if b != tip else names[-2]}"] = at_joint
-            place[f"{s}_clavicle"] = p["neck"] + CLAVICLE_FRACTION * (p[f"{s}_shoulder"] - p["neck"])
-    rest = np.array([place[n] for n in BONES])
-    shared = [n for n in BONES if n in joints and n in p]
-    a, b = x.mean(0)[[joints[n] for n in shared]], np.array([p[n] for n in shared])
-    off = np.linalg.norm(similarity_aligned(a, b) - b, axis=1)
-    residual = {n: (float(o), float(np.linalg.norm(place[n] - p[n]))) for n, o in zip(shared, off, strict=True)}
-    return rest, tips, residual
-
-
-def similarity_aligned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Points a (n, 3) after the similarity transform that brings them nearest to b (Umeyama 1991)."""
-    ca, cb = a.mean(0), b.mean(0)
-    u, s, vt = np.linalg.svd((b - cb).T @ (a - ca))
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    scale = (s * sign).sum() / max(((a - ca) ** 2).sum(), 1e-30)
-    return scale * (a - ca) @ (u * sign @ vt).T + cb
+                end = place[f"{s}_{a}"] + mean * bone / np.linalg.norm(bone)
+                if b == tip:
+                    tips[f"{s}_{a}"] = end
+                else:
+                    place[f"{s}_{b}"] = end
+    for s in SIDES:
+        place[f"{s}_clavicle"] = p["neck"] + CLAVICLE_FRACTION * (p[f"{s}_shoulder"] - p["neck"])
+    residual = {n: float(np.linalg.norm(place[n] - p[n])) for n in BONES if n in joints and n in p}
+    return np.array([place[n] for n in BONES]), tips, residual
 
 
 def retarget(rig: Rig, landmarks: Landmarks) -> Retargeted:

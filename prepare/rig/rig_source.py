@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import coo_matrix
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from assets.animation import decompose, local_matrices, world_matrices
-from assets.asset import Asset
+from assets.asset import Asset, Cage
 from assets.formats.gltf import GlbFile, Rig, SkinnedMesh, linear_from_srgb, read_mesh, read_rig, srgb_from_linear
 from assets.gaussians import Gaussians
 from assets.orientation import rotation_to_up
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from core.material import ANIMATED_MATERIAL
 from core.point_location import TetLocator
 from core.spherical_harmonics import C0
 from core.tetmesh import TET_EDGES, vertex_components
@@ -149,11 +149,11 @@ def animate_mesh(asset: Asset, mesh: SkinnedMesh, rig: Rig, at: Samples) -> Asse
     weights = transferred_weights(cage, points, target)
     nearest = cKDTree(points).query(asset.gaussians.means)[1]  # its own sample, but for those that were cleaned away
     segments = Segments(label, np.argmax(target[nearest], axis=1), joined)
-    moving = with_animation(asset, cage, segments, own, weights, on_ground=False)
+    moving = with_animation(asset, cage, segments, own, weights, np.zeros(len(cage.vertices), bool), on_ground=False)
     return with_provenance(moving, {"motion": rig.animation})
 
 
-def transferred_weights(cage, points: np.ndarray, target: np.ndarray) -> np.ndarray:
+def transferred_weights(cage: Cage, points: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Weights (V, J) of cage vertices from those (N, J) of points (N, 3) inside it, diffused through the cage."""
     locator = TetLocator(cage.vertices, cage.tets)
     host = locator.find(points)
@@ -162,30 +162,30 @@ def transferred_weights(cage, points: np.ndarray, target: np.ndarray) -> np.ndar
         raise BadInput("the mesh does not lie in its cage")
     w = locator.weights(host[inside], points[inside]).clip(0)
     corner = cage.tets[host[inside]]
-    V, J = len(cage.vertices), target.shape[1]
+    V = len(cage.vertices)
     amount = np.bincount(corner.ravel(), w.ravel(), minlength=V)
-    total = np.stack([
-        np.bincount(corner.ravel(), (w * target[inside, j : j + 1]).ravel(), minlength=V) for j in range(J)
-    ], 1)  # fmt: skip
-    mean = total / np.maximum(amount, 1e-12)[:, None]
+    shares = coo_matrix((w.ravel(), (corner.ravel(), np.repeat(np.arange(len(w)), 4))), shape=(V, len(w)))
+    mean = shares.tocsr() @ target[inside] / np.maximum(amount, 1e-12)[:, None]
     mean /= np.maximum(mean.sum(1, keepdims=True), 1e-12)
-    ends = cage.tets[:, TET_EDGES].reshape(-1, 2)
-    x = cage.vertices.astype(np.float64)
-    edge = np.median(np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1))
-    held = 4.0 / edge**2 * amount / max(float(amount[amount > 0].mean()), 1e-12)
+    held = 4.0 / median_edge(cage) ** 2 * amount / max(float(amount[amount > 0].mean()), 1e-12)
     component = vertex_components(cage.tets)
     if len(np.setdiff1d(component, component[(amount[cage.tets] > 0).any(1)])):
         raise BadInput("a component of the cage holds nothing of the mesh")
     return diffuse_weights(cage.vertices, cage.tets, held, mean)
 
 
-def mesh_adjacency(cage, parents: np.ndarray, x: np.ndarray, faces: np.ndarray, label: np.ndarray) -> Joined:
+def median_edge(cage: Cage) -> float:
+    """Median length [m] of the edges of a cage's tets."""
+    ends = cage.vertices[cage.tets[:, TET_EDGES]].astype(np.float64)
+    return float(np.median(np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=-1)))
+
+
+def mesh_adjacency(cage: Cage, parents: np.ndarray, x: np.ndarray, faces: np.ndarray, label: np.ndarray) -> Joined:
     """Pairs of joined segments: parent and child joints, and others near where their segments of the mesh touch."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = ends[label[ends[:, 0]] != label[ends[:, 1]]]
     middle, pair = x[ends].mean(1), np.sort(label[ends], axis=1)
-    corners = cage.vertices[cage.tets[:, TET_EDGES]].astype(np.float64)
-    radius = JOINED_RADIUS * np.median(np.linalg.norm(corners[:, :, 0] - corners[:, :, 1], axis=-1))
+    radius = JOINED_RADIUS * median_edge(cage)
 
     def joined(a: np.ndarray, b: np.ndarray, centre: np.ndarray) -> np.ndarray:
         result = (parents[a] == b) | (parents[b] == a)
@@ -214,7 +214,6 @@ class RigSource:
     gaussians: Gaussians | None
     up: str | None
     animate: Callable[[Asset, DistanceGrid], Asset]
-    material: str = ANIMATED_MATERIAL
 
 
 def is_skinned(path: Path) -> bool:
@@ -270,7 +269,7 @@ def described(moving: dict) -> list[str]:
         for h in moving["held"]:
             place = " ".join(f"{v:.2f}" for v in h["center"])
             lines.append(f"the {h['by'].replace('_', ' ')} holds what is within {h['radius']:.2f} m of {place}")
-        off = sorted(((v[1], k) for k, v in moving["residual"].items()), reverse=True)[:MAX_NAMED]
+        off = sorted(((v, k) for k, v in moving["residual"].items()), reverse=True)[:MAX_NAMED]
         named = ", ".join(f"{k} {100 * v:.1f} cm" for v, k in off if v > 0.0005)
         if named:
             lines.append(f"fitted skeleton off the landmarks: {named}")

@@ -11,10 +11,9 @@ from assets.asset import Asset, Cage
 from assets.formats.gltf import Rig
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from core.tetmesh import TET_EDGES
 from prepare.cage.embedding_hosts import embed
-from prepare.rig.body_segmentation import Segments, Solid, cut, segment_person, shortened, skeleton_adjacency
-from prepare.rig.landmarks import Landmarks
+from prepare.rig.body_segmentation import Segments, cut, segment_person, shortened, skeleton_adjacency
+from prepare.rig.landmarks import Landmarks, Solid
 from prepare.rig.retargeting import BONES, PARENTS, retarget
 from prepare.rig.skin_weights import (
     HOLD,
@@ -44,18 +43,19 @@ class Skeleton:
     fps: float
 
 
-def animate_person(asset: Asset, rig: Rig, landmarks: Landmarks, solid: DistanceGrid | None = None) -> Asset:
+def animate_person(asset: Asset, rig: Rig, landmarks: Landmarks, solid: DistanceGrid) -> Asset:
     """Give a standing person the motion of another's rig. Raises BadInput.
 
-    solid  a finer distance grid of it than the asset's
+    solid  the distance grid that the cage was made from, finer than the asset's
     """
     body = retarget(rig, landmarks)
     height = float(np.ptp(asset.cage.vertices[:, 1]))
-    person = segment_person(Solid.of(solid or asset.sdf), body, landmarks, height)
+    person = segment_person(Solid.of(solid), body, landmarks, height)
     joined = skeleton_adjacency(body)
     cage, label, _ = cut(asset.cage, person.bone_of_tets(asset.cage), joined)
-    V, J = len(cage.vertices), len(BONES)
-    votes = np.bincount(cage.tets.ravel().astype(np.int64) * J + np.repeat(label, 4), minlength=V * J).reshape(V, J)
+    J = len(BONES)
+    votes = np.zeros((len(cage.vertices), J), int)
+    np.add.at(votes, (cage.tets, label[:, None]), 1)
     target = np.eye(J)[np.argmax(votes, axis=1)]
     off = person.bone_distance(cage.vertices)
     weights = diffuse_weights(cage.vertices, cage.tets, HOLD / off**2, target)
@@ -66,26 +66,19 @@ def animate_person(asset: Asset, rig: Rig, landmarks: Landmarks, solid: Distance
     rest = (steps, upright, np.ones((J, 3)))
     own = Skeleton(BONES, PARENTS, inverse, rest, body.frames, rig.fps)
     segments = Segments(label, person.bone_of_points(asset.gaussians.means), joined)
-    gaussians, fewer = shortened(asset.gaussians, person, joined)
-    moving = with_animation(
-        replace(asset, gaussians=gaussians),
-        cage,
-        segments,
-        own,
-        weights,
-        on_ground=True,
-        core=off <= CORE_RADIUS * height,
-    )
+    asset = replace(asset, gaussians=shortened(asset.gaussians, person, joined))
+    core = off <= CORE_RADIUS * height
+    moving = with_animation(asset, cage, segments, own, weights, core, on_ground=True)
     of_rig = {
-        "shortened": fewer,
         "motion": rig.animation,
         "landmarks": {
             k: {"at": np.round(v, 4).tolist(), "from": landmarks.source[k]} for k, v in landmarks.points.items()
         },
-        "residual": {k: [round(v, 4) for v in values] for k, values in body.residual.items()},
-        "held": [{"by": h.by, "center": np.round(h.center, 4).tolist(), "radius": round(h.radius, 4)}
-                 for h in person.held],
-    }  # fmt: skip
+        "residual": {k: round(v, 4) for k, v in body.residual.items()},
+        "held": [
+            {"by": h.by, "center": np.round(h.center, 4).tolist(), "radius": round(h.radius, 4)} for h in person.held
+        ],
+    }
     return with_provenance(moving, of_rig)
 
 
@@ -95,22 +88,21 @@ def with_animation(
     segments: Segments,
     own: Skeleton,
     weights: np.ndarray,
+    core: np.ndarray,
     *,
     on_ground: bool,
-    core: np.ndarray | None = None,
 ) -> Asset:
     """The asset with this cage, cut or not, its Gaussians embedded again, and the motion. Raises BadInput.
 
-    weights  skin weights (V, J);  core  vertices in the bones, (V,) bool
+    weights    skin weights (V, J);  core  vertices in the bones, (V,) bool
+    on_ground  the motion is lifted or lowered so that its lowest point is that of the body at rest
     """
     frames = looping_frames(own, float(np.ptp(cage.vertices[:, 1])))
     joints, strong = largest_influences(weights)
     matrices = world_matrices(own.parents, frames) @ own.inverse_bind
     picked = np.linspace(0, len(matrices), min(SAMPLED_FRAMES, len(matrices)), endpoint=False).astype(int)
-    shapes = np.stack(
-        [cage.vertices.astype(np.float64)]
-        + [linear_blend_skinning(cage.vertices, joints, strong, matrices[k]) for k in picked]
-    )
+    skinned = [linear_blend_skinning(cage.vertices, joints, strong, matrices[k]) for k in picked]
+    shapes = np.stack([cage.vertices.astype(np.float64), *skinned])
     if on_ground:
         lift = shapes[0, :, 1].min() - shapes[1:, :, 1].min()
         frames[0][:, 0, 1] += lift
@@ -121,8 +113,8 @@ def with_animation(
     led = np.union1d(surface, np.flatnonzero(driven))
     g = asset.gaussians
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
-    embedded, kept = keep_to_segments(embedded, g.means.astype(np.float64), cage, segments)
-    embedded, calmed = without_spikes(embedded, g, cage, segments, shapes)
+    embedded = keep_to_segments(embedded, g.means.astype(np.float64), cage, segments)
+    embedded = without_spikes(embedded, g, cage, segments, shapes)
     motion = Animation(
         list(own.names),
         np.asarray(own.parents, np.int32),
@@ -141,14 +133,9 @@ def with_animation(
         "frames": len(frames[0]),
         "seconds": round(float(motion.duration), 3),
         "driven": int(driven[surface].sum()),
-        "driven_in_bones": int(driven.sum() - driven[surface].sum()),
         "surface": len(surface),
-        "added_vertices": len(cage.vertices) - len(asset.cage.vertices),
         "least_volume_driven": round(float(least[driven[cage.tets].all(1)].min(initial=1.0)), 3),
         "least_volume_skinned": round(float(least.min()), 3),
-        "largest_stretch_skinned": round(largest_stretch(cage.tets, shapes), 2),
-        "kept_to_their_part": kept,
-        "kept_calm": calmed,
     }
     moving = replace(asset, cage=cage, embedding=embedded, animation=motion)
     return with_provenance(moving, figures)
@@ -163,13 +150,6 @@ def looping_frames(own: Skeleton, size: float) -> Pose:
     if np.abs(t[0] - t[-1]).max() < MAX_LOOP_GAP[0] * size and angle < MAX_LOOP_GAP[1]:
         return t[:-1], q[:-1], s[:-1]
     return close_loop((t, q, s), LOOP_BLEND, own.fps)
-
-
-def largest_stretch(tets: np.ndarray, shapes: np.ndarray) -> float:
-    """Largest stretch of an edge of the tets in shapes (F, V, 3), relative to the first."""
-    ends = np.unique(np.sort(tets[:, TET_EDGES].reshape(-1, 2), axis=1), axis=0)
-    length = [np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1) for x in shapes]
-    return float(max((n / length[0]).max() for n in length))
 
 
 def with_provenance(asset: Asset, of_rig: dict) -> Asset:

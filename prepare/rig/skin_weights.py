@@ -31,24 +31,18 @@ MIN_VOLUME = 0.6  # of 1 at rest; a tet that skinning compresses more is simulat
 FREE_RADIUS = 0.055  # of the body's size; radius of these surroundings: larger ones bend joints more gently
 
 
-def laplacian(vertices: np.ndarray, tets: np.ndarray):
-    """Laplacian L (V, V) [m] with positive weights on edges, and the volume m of each vertex [m^3], (V,)."""
-    x = np.asarray(vertices, np.float64)
-    volume = np.linalg.det(x[tets[:, 1:]] - x[tets[:, :1]]) / 6
-    ends = tets[:, TET_EDGES].reshape(-1, 2)
-    length2 = ((x[ends[:, 0]] - x[ends[:, 1]]) ** 2).sum(1)
-    k = np.repeat(volume, 6) / length2  # a box of tets then has about the Laplacian of its finite differences
-    V = len(x)
-    A = coo_matrix((np.r_[k, k], (np.r_[ends[:, 0], ends[:, 1]], np.r_[ends[:, 1], ends[:, 0]])), shape=(V, V)).tocsr()
-    mass = np.bincount(tets.ravel(), np.repeat(volume / 4, 4), minlength=V)
-    return (diags(np.asarray(A.sum(1)).ravel()) - A).tocsc(), mass
-
-
 def diffuse_weights(vertices: np.ndarray, tets: np.ndarray, held: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Solution W (V, J) of (L + diag(m held)) W = diag(m held) target; held (V,) [1/m^2], rows of target sum to 1."""
-    L, mass = laplacian(vertices, tets)
-    H = mass * held
-    return splu((L + diags(H)).tocsc()).solve(H[:, None] * target)
+    """Solution W (V, J) of (L + diag(m held)) W = diag(m held) target; held (V,) [1/m^2], rows of target sum to 1.
+
+    m  volume of each vertex [m^3]
+    """
+    x, V = np.asarray(vertices, np.float64), len(vertices)
+    volume = tet_volumes(x, tets)
+    a, b = tets[:, TET_EDGES].reshape(-1, 2).T
+    k = np.repeat(volume, 6) / ((x[a] - x[b]) ** 2).sum(1)  # so a box of tets has about the finite differences' L
+    A = coo_matrix((np.r_[k, k], (np.r_[a, b], np.r_[b, a])), shape=(V, V)).tocsr()
+    H = held * np.bincount(tets.ravel(), np.repeat(volume / 4, 4), minlength=V)
+    return splu((diags(np.asarray(A.sum(1)).ravel() + H) - A).tocsc()).solve(H[:, None] * target)
 
 
 def largest_influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,8 +61,8 @@ def driven_vertices(
     tets: np.ndarray,
     surface: np.ndarray,
     shapes: np.ndarray,
-    core: np.ndarray | None = None,
-    leader: np.ndarray | None = None,
+    core: np.ndarray,
+    leader: np.ndarray,
 ) -> np.ndarray:
     """Mask (V,) of driven (kinematic) vertices: of the surface, led by one joint, not near what skinning crushes.
 
@@ -77,7 +71,7 @@ def driven_vertices(
     core     vertices in the bones, (V,) bool: driven too, as the inertia of the flesh around them would crush it
     leader   first joint of each vertex, (V,); -1 where that has no child: a foot is driven, however small
     """
-    driven = np.zeros(len(weights), bool) if core is None else core.copy()
+    driven = core.copy()
     driven[surface] = True
     driven &= weights[:, 0] >= MIN_FIRST_WEIGHT
     x = np.asarray(vertices, np.float64)
@@ -95,7 +89,7 @@ def driven_vertices(
 
 
 def isolated_patches(
-    x: np.ndarray, ends: np.ndarray, driven: np.ndarray, size: float, leader: np.ndarray | None = None
+    x: np.ndarray, ends: np.ndarray, driven: np.ndarray, size: float, leader: np.ndarray
 ) -> np.ndarray:
     """Mask (V,) of driven vertices in connected patches less than `size` [m] across; 2 `size` if a joint has no other.
 
@@ -108,8 +102,6 @@ def isolated_patches(
     np.minimum.at(low, patch, x)
     np.maximum.at(high, patch, x)
     across = np.linalg.norm(high - low, axis=1)[patch]
-    if leader is None:
-        return driven & (across < size)
     leaders = np.unique(np.stack([leader, patch])[:, driven & (across > 0)], axis=1)[0]  # of each patch
     patches = np.bincount(leaders[leaders >= 0], minlength=leader.max() + 2)
     return driven & (leader >= 0) & (across < np.where(patches[leader] == 1, 2 * size, size))
@@ -117,7 +109,6 @@ def isolated_patches(
 
 def least_volumes(tets: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     """Smallest volume of each tet (T,) in shapes (F, V, 3), relative to the first."""
-
     rest = tet_volumes(shapes[0], tets)
     return np.min([tet_volumes(x, tets) / rest for x in shapes], axis=0).clip(max=1.0)
 
@@ -128,19 +119,23 @@ MAX_GROWTH = 1.35  # of a Gaussian; one that would grow more, to a spike, follow
 HALF_AXIS = 0.35  # edges; of re-hosted local tetrahedra, so that F is a mean over several tets
 
 
-def keep_to_segments(
-    embedded: CageEmbedding, means: np.ndarray, cage: Cage, segments: Segments
-) -> tuple[CageEmbedding, int]:
-    """Re-host Gaussians on both sides of a cut, or in another segment than their own; and their number.
+def located(locator: TetLocator, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The tet (n,) that holds each point (n, 3), or the nearest; and the point, or the nearest in that tet."""
+    tet, foot = locator.find(points), points.copy()
+    out = np.flatnonzero(tet < 0)
+    if len(out):
+        tet[out], foot[out] = locator.nearest(points[out])
+    return tet, foot
+
+
+def keep_to_segments(embedded: CageEmbedding, means: np.ndarray, cage: Cage, segments: Segments) -> CageEmbedding:
+    """Re-host Gaussians on both sides of a cut, or in another segment than their own.
 
     Tets are coarse: a Gaussian may lie in one of another segment, or outside of all. Then its local tetrahedron is
     placed where its own segment is nearest.
     """
     locator = TetLocator(cage.vertices, cage.tets)
-    home = locator.find(means)
-    out = np.flatnonzero(home < 0)
-    if len(out):
-        home[out] = locator.nearest(means[out])[0]
+    home, _ = located(locator, means)
     label, wanted = segments.tets, segments.gaussians
     astray = (label[home] != wanted) & ~segments.joined(label[home], wanted, means)
     moved = np.flatnonzero(astray | across_cut(embedded, home, cage, label))
@@ -156,48 +151,39 @@ def rehosted(
     edge: np.ndarray,
     cage: Cage,
     segments: Segments,
-) -> tuple[CageEmbedding, int]:
-    """Gaussians `which` (k,) hosted by the nearest of the allowed `tets` (T,) bool of their segment; and their number.
+) -> CageEmbedding:
+    """Gaussians `which` (k,) hosted by the nearest of the allowed `tets` (T,) bool of their segment.
 
     edge  of the cage at each Gaussian [m], (N,)
     """
     host, weights = embedded.host.copy(), embedded.weights.copy()
-    count = 0
     for j in np.unique(segments.gaussians[which]):
         chosen, own = which[segments.gaussians[which] == j], np.flatnonzero(tets & (segments.tets == j))
         if not len(own):
             continue
         segment = TetLocator(cage.vertices, cage.tets[own])
-        foot, tet = means[chosen].copy(), segment.find(means[chosen])
-        off = np.flatnonzero(tet < 0)
-        if len(off):
-            tet[off], foot[off] = segment.nearest(means[chosen[off]])
+        tet, foot = located(segment, means[chosen])
         near = np.linalg.norm(means[chosen] - foot, axis=1) < MAX_SEGMENT_DISTANCE * edge[chosen]
         chosen, foot, tet = chosen[near], foot[near], tet[near]
         h, w = local_tetrahedra(segment, foot, tet, HALF_AXIS * edge[chosen])
         host[chosen], weights[chosen] = own[h], w
-        count += len(chosen)
-    return CageEmbedding(host, weights), count
+    return CageEmbedding(host, weights)
 
 
 def without_spikes(
     embedded: CageEmbedding, g: Gaussians, cage: Cage, segments: Segments, shapes: np.ndarray
-) -> tuple[CageEmbedding, int]:
-    """Re-host Gaussians that the cage would stretch to spikes, as between an arm and the side; and their number.
-
-    They follow calm tets of their segment. shapes  cage vertices (F, V, 3) [m] of some frames, the first at rest
-    """
+) -> CageEmbedding:
+    """Let Gaussians that the cage would stretch to spikes, as between an arm and the side, follow calm tets of their
+    segment. shapes: cage vertices (F, V, 3) [m] of some frames, the first at rest."""
     ends = cage.tets[:, TET_EDGES]
     length = [np.linalg.norm(x[ends[..., 0]] - x[ends[..., 1]], axis=-1) for x in shapes]
     calm = (np.max(length[1:], axis=0) / length[0]).max(1) < MAX_EDGE_STRETCH
     some = np.flatnonzero(~calm[embedded.host].all(1))
     if not len(some):
-        return embedded, 0
+        return embedded
     weights, vertex = embedded.weights[some].astype(np.float64), cage.tets[embedded.host[some]]
-    axes = (
-        matrices_from_quaternions(g.quats[some].astype(np.float64))
-        * np.exp(g.log_scales[some].astype(np.float64))[:, None]
-    )
+    sigma = np.exp(g.log_scales[some].astype(np.float64))
+    axes = matrices_from_quaternions(g.quats[some].astype(np.float64)) * sigma[:, None]
 
     def corners(x: np.ndarray) -> np.ndarray:
         y = np.einsum("nkj,nkjd->nkd", weights, x[vertex])
@@ -220,10 +206,7 @@ def local_tetrahedra(
     Their half axes are `half` (n,) [m], about points `foot` (n, 3) in or on the tets `tet` (n,) of a segment.
     """
     corner = (foot[:, None] + half[:, None, None] * CORNERS).reshape(-1, 3)
-    host = segment.find(corner)
-    out = np.flatnonzero(host < 0)
-    if len(out):
-        host[out] = segment.nearest(corner[out])[0]
+    host, _ = located(segment, corner)
     weights = segment.weights(host, corner).reshape(-1, 4, 4)
     host = host.reshape(-1, 4)
     wild = np.abs(weights).max((1, 2)) > MAX_WEIGHT

@@ -8,8 +8,6 @@ import numpy as np
 
 from assets.gaussians import OPAQUE, Gaussians
 from assets.orientation import support_plane, turned_about_up, up_of_cameras
-from core.errors import BadInput
-from core.measured_length import scale_between
 from core.rotation import rotation_between
 from prepare.train.capture import Capture
 
@@ -24,13 +22,11 @@ FRONT_MIN = 0.35  # mean resultant length of the viewing directions; below it th
 class CaptureOrientation:
     """From a capture's frame to the world's: x_world = scale rotation x + shift.
 
-    rotation      (3, 3);   scale [m per unit];   shift [m], (3,): the floor is at y = 0, what is looked at over (0, 0)
-    up            in the capture's frame, (3,), and its error, a standard deviation [rad]
-    up_from       "cameras", or "support plane" if one agrees with them
-    scale_from    "measured", "eye height" or "viewing distance"; the last two are guesses
-    scale_spread  factor by which a guess may be too large or too small (two times of three); 1.0: measured
-    front_from    which photographs were taken from the front: "most photographs" or "first photograph"
-    floor_seen    a floor was found; else y = 0 is the lowest surface
+    rotation    (3, 3);   scale [m per unit];   shift [m], (3,): the floor is at y = 0, what is looked at over (0, 0)
+    up          in the capture's frame, (3,), and its error, a standard deviation [rad]
+    measured    the scale was measured; else it is guessed
+    front_from  which photographs were taken from the front: "most photographs" or "first photograph"
+    floor_seen  a floor was found, which agrees with the cameras; else y = 0 is the lowest surface
     """
 
     rotation: np.ndarray
@@ -38,15 +34,9 @@ class CaptureOrientation:
     shift: np.ndarray
     up: np.ndarray
     error: float
-    up_from: str
-    scale_from: str
-    scale_spread: float
+    measured: bool
     front_from: str
     floor_seen: bool
-
-    def points(self, x: np.ndarray) -> np.ndarray:
-        """Points (..., 3) of the capture in the world [m]."""
-        return self.scale * (x @ self.rotation.T) + self.shift
 
     def gaussians(self, g: Gaussians) -> Gaussians:
         """Gaussians of the capture in the world."""
@@ -61,77 +51,47 @@ class CaptureOrientation:
 
     def described(self) -> list[str]:
         """Lines for the user: what was found, from what, and how far it may be off."""
-        known = {
-            "measured": "measured",
-            "eye height": f"guessed: cameras about {EYE_HEIGHT} m over the floor",
-            "viewing distance": f"guessed: cameras about {VIEW_DISTANCE} m from what they show, no floor was seen",
-        }[self.scale_from]
-        may = f"; may be {self.scale_spread:g} times too large or too small" if self.scale_spread > 1.0 else ""
-        plane = ", and the plane that things stand on" if self.up_from == "support plane" else ""
+        plane, spread = "", VIEW_SPREAD
+        guess = f"cameras about {VIEW_DISTANCE} m from what they show, as no floor was seen"
+        if self.floor_seen:
+            plane, spread = " and the plane that things stand on", EYE_SPREAD
+            guess = f"cameras about {EYE_HEIGHT} m over the floor"
+        guessed = f"guessed: {guess}; it may be {spread:g} times too large or too small"
         return [
             f"up: from the cameras{plane}, to about {np.degrees(self.error):.1f} degrees",
-            f"scale: {self.scale:.4g} m per unit, {known}{may}",
+            f"scale: {self.scale:.4g} m per unit, {'measured' if self.measured else guessed}",
             f"front: the side of the {self.front_from}",
         ]
 
 
-def capture_orientation(
-    capture: Capture,
-    gaussians: Gaussians | None,
-    *,
-    measured: tuple[np.ndarray, np.ndarray] | None = None,
-    length: float | None = None,
-) -> CaptureOrientation:
+def capture_orientation(capture: Capture, gaussians: Gaussians, scale: float | None = None) -> CaptureOrientation:
     """Up axis, scale and front of a capture.
 
-    gaussians  trained from the capture, in its frame; None: cameras alone
-    measured   two points (3,) of the capture's frame that are `length` [m] apart; else the scale is guessed
-    Raises BadInput for a length or points that give no scale.
+    gaussians  trained from the capture, in its frame
+    scale      as measured [m per unit]; None: guessed
     """
     poses = np.array([v.world_to_camera for v in capture.views])
     places = np.array([v.position for v in capture.views])
     up, error = up_of_cameras(poses)
     target = capture.looked_at()
-    plane, near = None, None if gaussians is None else near_gaussians(gaussians, places, target)
-    if near is not None:
-        plane = support_plane(near, places, up, error)
-    if plane is not None:
-        up, error = plane[0], PLANE_ERROR
-    upright = rotation_between(up, (0.0, 1.0, 0.0))
-    turn, front_from = _front(poses, upright)
-    rotation = turn @ upright
-    if measured is not None or length is not None:
-        scale, scale_from, spread = measured_scale(measured, length), "measured", 1.0
-    elif plane is not None:
-        scale, scale_from, spread = EYE_HEIGHT / (np.median(places @ up) - plane[1]), "eye height", EYE_SPREAD
-    else:
-        away = float(np.median(np.linalg.norm(places - target, axis=1)))
-        scale, scale_from, spread = VIEW_DISTANCE / max(away, 1e-9), "viewing distance", VIEW_SPREAD
-    if plane is not None:
-        floor = plane[1]
-    else:  # the lowest surface, below which there is hardly anything
-        floor = float(np.percentile(near.means @ up, 1.0)) if near is not None and len(near) else float(target @ up)
-    shift = -scale * (rotation @ target)
-    shift[1] = -scale * floor
-    up_from = "cameras" if plane is None else "support plane"
-    seen = plane is not None
-    return CaptureOrientation(
-        rotation, float(scale), shift, up, float(error), up_from, scale_from, spread, front_from, seen
-    )
-
-
-def measured_scale(measured, length: float | None) -> float:
-    """Metres per unit of two points (3,) that are `length` [m] apart. Raises BadInput."""
-    if measured is None or length is None:
-        raise BadInput("a scale needs two points and the length between them in metres")
-    return scale_between(*measured, length)
-
-
-def near_gaussians(gaussians: Gaussians, places: np.ndarray, target: np.ndarray) -> Gaussians:
-    """The opaque Gaussians near what the cameras at `places` (V, 3) look at and where they stand: no background."""
     middle = 0.5 * (target + places.mean(0))
     reach = REACH * np.linalg.norm(places - middle, axis=1).max()
-    return gaussians.select((gaussians.opacities > OPAQUE) & (np.linalg.norm(gaussians.means - middle, axis=1) < reach))
+    opaque = gaussians.opacities > OPAQUE
+    near = gaussians.select(opaque & (np.linalg.norm(gaussians.means - middle, axis=1) < reach))  # no background
+    plane = support_plane(near, places, up, error)
+    if plane is not None:
+        (up, floor), error = plane, PLANE_ERROR
+        guess = EYE_HEIGHT / (np.median(places @ up) - floor)
+    else:  # the floor is the lowest surface, below which there is hardly anything
+        floor = float(np.percentile(near.means @ up, 1.0)) if len(near) else float(target @ up)
+        guess = VIEW_DISTANCE / max(float(np.median(np.linalg.norm(places - target, axis=1))), 1e-9)
+    upright = rotation_between(up, (0.0, 1.0, 0.0))
+    turn, front_from = _front(poses, upright)
+    rotation, measured = turn @ upright, scale is not None
+    scale = float(scale if measured else guess)
+    shift = -scale * (rotation @ target)
+    shift[1] = -scale * floor
+    return CaptureOrientation(rotation, scale, shift, up, float(error), measured, front_from, plane is not None)
 
 
 def _front(poses: np.ndarray, upright: np.ndarray) -> tuple[np.ndarray, str]:

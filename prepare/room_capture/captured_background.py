@@ -15,11 +15,11 @@ from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians
 from core.camera import Camera
-from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import (
     BELOW_FLOOR,
     distance_grids,
+    figures,
     fine_boxes,
     level_surface,
     orient_surface,
@@ -33,7 +33,7 @@ from prepare.environment.support_planes import (
     drop_point,
     support_planes,
 )
-from prepare.progress import Progress, no_progress
+from prepare.progress import Progress
 
 VIEWERS = 40  # cameras from which surfaces are oriented; more add nothing
 AROUND_CAMERAS = 0.6  # [m] the room extends at least this far beyond the outermost camera
@@ -106,32 +106,31 @@ def captured_environment(
     view: RoomView,
     extent: tuple[np.ndarray, np.ndarray],
     *,
-    near: Sequence[tuple[np.ndarray, np.ndarray]] = (),
-    cell: float | None = None,
-    progress: Progress = no_progress,
+    near: Sequence[tuple[np.ndarray, np.ndarray]],
+    cell: float | None,
+    progress: Progress,
 ) -> Asset:
     """The static environment of a background [m] with its floor at y = 0. Taichi must be running.
 
-    extent    corners of what collides
-    near      corners (low, high) of the boxes of the objects, in which the grids are fine
-    cell      spacing [m] of the coarse distance grid; None: by size
-    progress  called with "surface", "planes" or "distance" and the fraction of it that is done
+    extent  corners of what collides
+    near    corners (low, high) of the boxes of the objects, in which the grids are fine
+    cell    spacing [m] of the coarse distance grid; None: by size
     """
     low, high = extent
     progress("surface", 0.0)
-    places = view.places
+    places, k = view.places, view.photographer()
     chosen = np.linspace(0, len(places) - 1, min(VIEWERS, len(places))).round().astype(int)
     surface = orient_surface(gaussians, low, high, cell, places[chosen])
     progress("planes", 0.0)
-    floor, planes = seen_planes(level_surface(surface, low, high), view)
-    known, k = [floor, *planes] if view.floor_seen else planes, view.photographer()
+    floor, planes = seen_planes(*level_surface(surface, low, high), view)
+    known = [floor, *planes] if view.floor_seen else planes
     if known:
         on, drop, clear = drop_point(known, surface.surfels.points)
     else:  # over what the photographer looks at
         x, y, z = view.targets[k]
         on, drop, clear = None, np.array([x, max(y, view.floor), z]), UNKNOWN_CLEARANCE
     progress("distance", 0.0)
-    coarse, fine = distance_grids(surface, known, fine_boxes(surface, known, on, drop, near), progress)
+    grid, fine = distance_grids(surface, known, fine_boxes(surface, known, on, drop, near), progress)
     environment = Environment(
         view.floor,
         tuple(map(float, drop)),
@@ -144,24 +143,19 @@ def captured_environment(
         "made_by": "vrgs capture",
         "floor_seen": view.floor_seen,
         "drop_on": "nothing" if on is None else on.kind,
-        "cells": [int(coarse.values.size), *(int(f.values.size) for f in fine)],
-        "spacings": [coarse.spacing, *(f.spacing for f in fine)],
-        "surfels": len(surface.surfels.points),
+        **figures(surface, grid, fine),
     }
     progress("distance", 1.0)
-    grid = DistanceGrid(coarse.values.astype(np.float16), coarse.origin, coarse.spacing)
     return Asset(gaussians, sdf=grid, provenance=provenance, environment=environment)
 
 
-def seen_planes(level: tuple[np.ndarray, np.ndarray], view: RoomView) -> tuple[SupportPlane, list[SupportPlane]]:
+def seen_planes(points: np.ndarray, normals: np.ndarray, view: RoomView) -> tuple[SupportPlane, list[SupportPlane]]:
     """The floor, seen or assumed under the cameras, and the tables and shelves over it, of level points and normals."""
-    points, normals = level
     places = view.places
     corner = places.min(0)[[0, 2]] - AROUND_CAMERAS
     cells = np.ceil((places.max(0)[[0, 2]] + AROUND_CAMERAS - corner) / CELL).astype(int)
     assumed = SupportPlane("floor", view.floor, corner, np.ones(cells, bool))
-    # A floor for the search of planes; those of a room without one are measured from where the player stands.
-    if not view.floor_seen:
+    if not view.floor_seen:  # planes are searched over the height on which the player stands
         under = np.insert(cell_centres(assumed).reshape(-1, 2), 1, view.floor, axis=1)
         points = np.concatenate([points, under])
         normals = np.concatenate([normals, np.tile([0.0, 1.0, 0.0], (len(under), 1))])
@@ -175,8 +169,7 @@ def seen_planes(level: tuple[np.ndarray, np.ndarray], view: RoomView) -> tuple[S
 def view_of(view: RoomView) -> tuple[tuple, tuple, float]:
     """Eye, target [m] and vertical field of view [rad] of the player: those of the photographer.
 
-    The picture is as high as the photograph. Of an upright one some is left out above and below: what it shows would be
-    small in a wide picture, with much beside it that it does not show.
+    The picture is as high as the photograph; of an upright one less, as in a wide picture it would be small.
     """
     k = view.photographer()
     camera = view.cameras[k]

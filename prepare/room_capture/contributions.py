@@ -22,29 +22,24 @@ class Contributions:
     """Contributions of N Gaussians to V views, from pictures whose longer side is SIDE.
 
     weight  blending weight summed over all pixels of all views, (N,) [px]
-    views   number of views to which it gives a tenth of a pixel or more, (N,)
     depth   median depth of what each view shows, in the Gaussians' unit, (V,); NaN where it shows nothing
     """
 
     weight: np.ndarray
-    views: np.ndarray
     depth: np.ndarray
 
 
-def contributions(
-    gaussians: Gaussians, cameras: Sequence[Camera], *, sort: str = "radial", progress: Progress = no_progress
-) -> Contributions:
+def contributions(gaussians: Gaussians, cameras: Sequence[Camera], progress: Progress = no_progress) -> Contributions:
     """Blending weights of the Gaussians, summed over views. Taichi must be running."""
-    n, weights = len(gaussians), BlendingWeights(gaussians, sort=sort)
-    weight, views, depths = np.zeros(n), np.zeros(n, np.int32), []
+    drawing, weight, depths = BlendingWeights(gaussians, sort="radial"), np.zeros(len(gaussians)), []
     for k, camera in enumerate(map(reduced, cameras)):
-        of_view = weights.sums(camera, [np.ones((camera.height, camera.width))])[:, 0]
-        weight += of_view
-        views += of_view >= 0.1
-        depths.append(median_depth(weights))
+        weight += drawing.sums(camera, [np.ones((camera.height, camera.width))])[:, 0]
+        _, depth, alpha = (a[::DEPTH_PIXELS, ::DEPTH_PIXELS] for a in drawing.drawn())
+        opaque = alpha > MIN_ALPHA
+        depths.append(float(np.median(depth[opaque])) if opaque.any() else np.nan)
         progress("views", (k + 1) / len(cameras))
-    weights.destroy()
-    return Contributions(weight, views, np.array(depths))
+    drawing.destroy()
+    return Contributions(weight, np.array(depths))
 
 
 def reduced(camera: Camera) -> Camera:
@@ -62,20 +57,11 @@ def needed(gaussians: Gaussians, cameras: Sequence[Camera], found: Contributions
     return keep
 
 
-def median_depth(weights: BlendingWeights) -> float:
-    """Median depth of the picture that was drawn last; NaN where nothing is in it."""
-    _, depth, alpha = (a[::DEPTH_PIXELS, ::DEPTH_PIXELS] for a in weights.drawn())
-    return float(np.median(depth[alpha > MIN_ALPHA])) if (alpha > MIN_ALPHA).any() else float("nan")
-
-
 def depth_at(gaussians: Gaussians, camera: Camera, x: float, y: float) -> float:
     """Depth of what a pixel of a camera's picture shows; NaN: nothing. Taichi must be running."""
     small = reduced(camera)
-    weights = BlendingWeights(gaussians, sort="radial")
-    _, depth, alpha = weights.picture(small)
-    weights.destroy()
-    row, column = (
-        min(int(at), n - 1)
-        for at, n in zip((y / camera.height * small.height, x / camera.width * small.width), depth.shape, strict=True)
-    )
+    drawing = BlendingWeights(gaussians, sort="radial")
+    _, depth, alpha = drawing.picture(small)
+    drawing.destroy()
+    row, column = int(y / camera.height * small.height), int(x / camera.width * small.width)
     return float(depth[row, column]) if alpha[row, column] > MIN_ALPHA else float("nan")

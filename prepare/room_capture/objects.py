@@ -20,10 +20,8 @@ from assets.room_folder import RoomObject
 from core.distance_grid import SKIN_VOXELS, DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
-from core.tetmesh import tet_volumes
-from prepare.cage.cage_generation import NoSoundCage
-from prepare.pipeline import Options, prepare
-from prepare.progress import Progress, no_progress
+from prepare.pipeline import Options, of_first_sound_cage, prepare
+from prepare.progress import Progress
 from prepare.standing import holds_centre, liftable, resting_normal, steady
 
 TOUCH = 0.06  # object sizes: a gap up to this is contact
@@ -46,23 +44,21 @@ class Support:
 
 
 def support_of(gaussians: Gaussians, rest: Gaussians) -> Support:
-    """The part of the rest of a room [m], +y up, that holds an object.
+    """What holds an object in the rest of a room [m], +y up. Raises BadInput if it touches nothing.
 
-    It stands if its contacts near the foot surround its centre, as those of a base do; else it hangs, as a trophy on a
-    wall does. Raises BadInput if it touches nothing.
+    It stands if its contacts near the foot surround its centre; else it hangs, as a trophy on a wall does.
     """
     gaussians, rest = gaussians.opaque(), rest.opaque()
     own, others = gaussians.means.astype(np.float64), rest.means.astype(np.float64)
     low, high = robust_bounds(own)
-    size, touch = float((high - low).max()), np.zeros(0, int)
+    size, touching = float((high - low).max()), own[:0]
     if len(others):
-        away, at = cKDTree(others).query(own, k=min(NEIGHBOURS, len(others)))
-        away, at = away.reshape(len(own), -1), at.reshape(len(own), -1)
+        away, at = cKDTree(others).query(own, k=range(1, 1 + min(NEIGHBOURS, len(others))))
         reach = TOUCH * size + widths(gaussians)[:, None] + widths(rest)[at]
-        touch = np.flatnonzero((away < reach).any(axis=1))
-    if len(touch) < TOUCHES_MIN:
+        touching = own[(away < reach).any(axis=1)]
+    if len(touching) < TOUCHES_MIN:
         raise BadInput("touches nothing that holds it up; photograph what it stands on, or mark it as background")
-    centre, touching = np.median(own, axis=0), own[touch]
+    centre = np.median(own, axis=0)
     foot = touching[touching[:, 1] < low[1] + BASE * (high[1] - low[1])][:, [0, 2]]
     if len(foot) >= TOUCHES_MIN and holds_centre(foot, middle_of(own)[[0, 2]]):
         return Support(np.array([0.0, 1.0, 0.0]), True)
@@ -93,9 +89,9 @@ def object_body(
     support: Support,
     *,
     vertices: Sequence[int],
-    material: str | None = None,
-    progress: Progress = no_progress,
-    say: Callable[[str], None] = print,
+    material: str | None,
+    progress: Progress,
+    say: Callable[[str], None],
 ) -> tuple[Asset, RoomObject]:
     """The body of an object's Gaussians in the room [m], and its place; +y of its asset leads away from what holds it.
 
@@ -104,19 +100,12 @@ def object_body(
     Raises BadInput if there is no cage for it.
     """
     turn = rotation_between(support.direction, (0.0, 1.0, 0.0))
-    gaussians, wanted = (
-        replace(gaussians.transformed(turn), object_id=np.zeros(len(gaussians), np.uint16), objects=()),
-        list(vertices),
-    )
-    while True:
-        options = Options(wanted.pop(0), up="+y", material=material, metres=True)
-        try:
-            asset = prepare(gaussians, options, progress=progress, say=say)
-            break
-        except NoSoundCage as e:
-            if not wanted:
-                raise BadInput(str(e)) from e
-            say(f"{name}: {e}; trying {wanted[0]} vertices")
+    gaussians = replace(gaussians.transformed(turn), object_id=np.zeros(len(gaussians), np.uint16), objects=())
+
+    def make(count: int) -> Asset:
+        return prepare(gaussians, Options(count, up="+y", material=material, metres=True), progress=progress, say=say)
+
+    asset = of_first_sound_cage(vertices, make, lambda line: say(f"{name}: {line}"))
     position = -turn.T @ np.array(asset.provenance["moved"])
     heights = asset.cage.vertices[:, 1]
     held = support.level + asset.provenance["moved"][1]  # of what touches: its farthest end may be a thin tail
@@ -128,6 +117,16 @@ def object_body(
         asset = replace(asset, material=light)
     rotation = tuple(map(float, quaternions_from_matrices(turn.T)))
     return asset, RoomObject(name, file, tuple(map(float, position)), rotation, fixed)
+
+
+def turn_of(placed: RoomObject) -> np.ndarray:
+    """Rotation (3, 3) from an object's asset into the room."""
+    return matrices_from_quaternions(np.array(placed.rotation))
+
+
+def placed_points(points: np.ndarray, placed: RoomObject) -> np.ndarray:
+    """Points (N, 3) of an object's asset in the room [m]."""
+    return points @ turn_of(placed).T + placed.position
 
 
 def object_files(names: Sequence[str]) -> list[str]:
@@ -162,15 +161,15 @@ class Base:
 
 
 def seated(background: Asset, bodies: Sequence[tuple[Asset, RoomObject]]) -> Asset:
-    """The background with a seat for each body: what stands is borne, and nothing solid is where a body is.
-
-    What hangs is held by itself: only its place is hollowed out.
-    """
+    """The background with a seat for each body: what stands is borne, and nothing solid is where a body is. What hangs
+    is held by itself: only its place is hollowed out."""
     grids = [background.sdf, *background.environment.fine_grids]
     for asset, placed in bodies:
         if placed.fixed_below is None:
             base = base_of(asset)
-            k = finest_around(grids, *base_box(base, asset.sdf, placed))
+            low, high = base_box(base, asset.sdf, placed)
+            around = [k for k, g in enumerate(grids) if (g.origin <= low).all() and (g.upper >= high).all()]
+            k = min(around, key=lambda k: grids[k].spacing, default=0)  # the finest
             grids[k] = filled_under(grids[k], base, asset.sdf, placed)
     for asset, placed in bodies:
         grids = [without_solid(grid, asset.sdf, placed) for grid in grids]
@@ -183,7 +182,7 @@ def base_of(body: Asset) -> Base:
 
     Three of the body's points are on it and none is below, so that it neither tilts nor slides there by its weight.
     """
-    grid, volumes = body.sdf, tet_volumes(body.cage.vertices, body.cage.tets)
+    grid, volumes = body.sdf, body.cage.volumes()
     centre = volumes @ body.cage.vertices[body.cage.tets].mean(axis=1) / volumes.sum()
     under = underside(grid)
     i, k = np.nonzero(np.isfinite(under))
@@ -221,20 +220,13 @@ def base_box(base: Base, body: DistanceGrid, placed: RoomObject) -> tuple[np.nda
     x, z = body.origin[0] + body.spacing * i, body.origin[2] + body.spacing * k
     y = (base.level - np.stack([x, z], axis=1) @ base.normal[[0, 2]]) / base.normal[1]
     low, high = (np.stack([x, y + up, z], axis=1) for up in (-base.depth, base.imprint))
-    turn = matrices_from_quaternions(np.array(placed.rotation))
-    placed = np.vstack([low, high]) @ turn.T + placed.position
-    return placed.min(0), placed.max(0)
-
-
-def finest_around(grids: Sequence[DistanceGrid], low: np.ndarray, high: np.ndarray) -> int:
-    """Index of the finest grid that holds a box, else of the first."""
-    holding = [k for k, g in enumerate(grids) if (g.origin <= low).all() and (g.upper >= high).all()]
-    return min(holding, key=lambda k: grids[k].spacing, default=0)
+    corners = placed_points(np.vstack([low, high]), placed)
+    return corners.min(0), corners.max(0)
 
 
 def filled_under(grid: DistanceGrid, base: Base, body: DistanceGrid, placed: RoomObject) -> DistanceGrid:
-    """A room's distance grid with what an object stands on: below the plane of its base, as wide as its skin, and up to
-    the imprint where it touches."""
+    """A room's distance grid, filled below the plane of an object's base, as wide as its skin, and up to the imprint
+    where it touches."""
 
     def seat(points: np.ndarray) -> np.ndarray:
         cells = (points[..., [0, 2]] - np.asarray(body.origin)[[0, 2]]) / body.spacing
@@ -259,9 +251,9 @@ def without_solid(grid: DistanceGrid, body: DistanceGrid, placed: RoomObject) ->
         depth = body.sample_extended(points)
         return np.maximum(values, np.maximum(-depth, -skin - SLOPE * (depth - skin)))
 
-    turn = matrices_from_quaternions(np.array(placed.rotation))
-    corners = np.where(np.indices((2, 2, 2)).reshape(3, -1).T.astype(bool), body.upper, body.origin) @ turn.T
-    return _changed(grid, corners.min(0) + placed.position, corners.max(0) + placed.position, placed, hollow)
+    corners = np.where(np.indices((2, 2, 2)).reshape(3, -1).T.astype(bool), body.upper, body.origin)
+    corners = placed_points(corners, placed)
+    return _changed(grid, corners.min(0), corners.max(0), placed, hollow)
 
 
 def _changed(grid: DistanceGrid, low: np.ndarray, high: np.ndarray, placed: RoomObject, change) -> DistanceGrid:
@@ -272,7 +264,7 @@ def _changed(grid: DistanceGrid, low: np.ndarray, high: np.ndarray, placed: Room
         return grid
     part = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
     nodes = grid.origin + grid.spacing * (np.moveaxis(np.indices(tuple(last - first)), 0, -1) + first)
-    points = (nodes - placed.position) @ matrices_from_quaternions(np.array(placed.rotation))
+    points = (nodes - placed.position) @ turn_of(placed)
     values = np.array(grid.values)
     values[part] = change(values[part], points).astype(values.dtype)
     return replace(grid, values=values)

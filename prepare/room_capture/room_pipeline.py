@@ -12,13 +12,21 @@ from assets.gaussians import Gaussians, concatenate
 from assets.room_folder import RoomManifest, RoomObject
 from core.camera import Camera
 from core.errors import BadInput
-from core.rotation import matrices_from_quaternions
+from core.measured_length import length_of, scale_between
 from prepare.cleaning import MIN_GAUSSIANS
 from prepare.progress import Progress, no_progress
 from prepare.room_capture.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
 from prepare.room_capture.contributions import Contributions, contributions, depth_at, needed
-from prepare.room_capture.objects import Support, object_body, object_files, seated, support_of
+from prepare.room_capture.objects import (
+    Support,
+    object_body,
+    object_files,
+    placed_points,
+    seated,
+    support_of,
+    turn_of,
+)
 from prepare.train.capture import Capture
 
 OBJECT_SHARE = 0.002  # least share of an object in what the pictures show
@@ -81,45 +89,81 @@ def without_supports(gaussians: Gaussians, capture: Capture, progress: Progress 
     return replace(gaussians, object_id=ids)
 
 
-def seen_by_cameras(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Contributions:
+def seen_by_cameras(gaussians: Gaussians, capture: Capture, progress: Progress) -> Contributions:
     """Contribution of each Gaussian to the photographs. Raises BadInput if they show nothing."""
-    found = contributions(gaussians, cameras_of(capture), progress=progress)
+    found = contributions(gaussians, cameras_of(capture), progress)
     if not np.isfinite(found.depth).any():
         raise BadInput("the photographs show nothing: the training has failed")
     return found
 
 
-def placed_room(
-    gaussians: Gaussians,
-    capture: Capture,
-    found: Contributions,
-    *,
-    measured: tuple[np.ndarray, np.ndarray] | None = None,
-    length: float | None = None,
-) -> PlacedRoom:
-    """The room in metres, pruned; `measured` points of the capture are `length` [m] apart."""
+def placed_room(gaussians: Gaussians, capture: Capture, found: Contributions, scale: float | None) -> PlacedRoom:
+    """The room in metres, pruned; `scale`: measured metres per unit of the capture, None: guessed."""
     cameras = cameras_of(capture)
     keep = needed(gaussians, cameras, found)
     gaussians, weight = gaussians.select(keep), found.weight[keep]
-    o = capture_orientation(capture, gaussians, measured=measured, length=length)
+    o = capture_orientation(capture, gaussians, scale)
     placed = [replace(c, world_to_camera=o.pose(c.world_to_camera)) for c in cameras]
     view = RoomView(placed, o.scale * found.depth, o.floor_seen)
     return PlacedRoom(o.gaussians(gaussians), weight, view, o)
 
 
-def point_in_photograph(gaussians: Gaussians, capture: Capture, name: str, x: float, y: float) -> np.ndarray:
-    """The point (3,) of the capture at a pixel of a photograph. Raises BadInput."""
-    views = [v for v in capture.views if v.name == name]
-    if not views:
-        raise BadInput(f"there is no photograph {name}; there are: {', '.join(v.name for v in capture.views[:5])} ...")
-    camera = views[0].camera()
-    if not (0 <= x < camera.width and 0 <= y < camera.height):
-        raise BadInput(f"{name} has {camera.width}x{camera.height} pixels: {x:g},{y:g} is none of them")
-    depth = depth_at(gaussians, camera, x, y)
-    if not np.isfinite(depth):
-        raise BadInput(f"{name}: at {x:g},{y:g} nothing was captured")
-    origin, direction = camera.ray(x, y)
-    return origin + direction * depth / (camera.world_to_camera[2, :3] @ direction)
+@dataclass(frozen=True)
+class MeasuredLength:
+    """Two points of a capture that are `length` [m] apart.
+
+    points  each a photograph's name and a pixel (x, y) of it, or "" and a point (x, y, z) in the frame of the files
+    """
+
+    points: tuple[tuple[str, list[float]], ...]
+    length: float
+
+    @classmethod
+    def of(cls, texts: Sequence[str]) -> MeasuredLength:
+        """From the texts of --scale-points: PHOTOGRAPH:x,y or x,y,z twice, and a length. Raises BadInput."""
+        points = []
+        for text in texts[:2]:
+            name, _, numbers = text.rpartition(":")
+            try:
+                values = [float(x) for x in numbers.split(",")]
+            except ValueError:
+                values = []
+            if len(values) != (2 if name else 3) or not np.isfinite(values).all():
+                raise BadInput(f"--scale-points: {text!r} is neither PHOTOGRAPH:x,y nor x,y,z")
+            points.append((name, values))
+        try:
+            return cls(tuple(points), length_of(texts[2]))
+        except BadInput as e:
+            raise BadInput(f"--scale-points: {e}") from e
+
+    def check(self, sizes: dict[str, tuple[int, int]]) -> None:
+        """Raise BadInput for a point outside of the photographs, by name (width, height) [px]."""
+        for name, (x, y, *_) in self.points:
+            if name and name not in sizes:
+                known = ", ".join(list(sizes)[:5])
+                raise BadInput(f"--scale-points: there is no photograph {name}; there are: {known} ...")
+            if name and not (0 <= x < sizes[name][0] and 0 <= y < sizes[name][1]):
+                size = "{}x{}".format(*sizes[name])
+                raise BadInput(f"--scale-points: {x:g},{y:g} is not in {name}, which has {size} pixels")
+
+    def scale(self, gaussians: Gaussians, capture: Capture, turn: np.ndarray) -> float:
+        """Metres per unit of the Gaussians of a capture, whose frame is that of its files turned by `turn` (3, 3).
+
+        Raises BadInput. Taichi must be running.
+        """
+        cameras, found = {view.name: view.camera() for view in capture.views}, []
+        self.check({name: (camera.width, camera.height) for name, camera in cameras.items()})
+        for name, values in self.points:
+            if not name:
+                found.append(turn @ values)
+                continue
+            camera = cameras[name]
+            depth = depth_at(gaussians, camera, *values)
+            if not np.isfinite(depth):
+                raise BadInput(f"{name}: nothing was captured at {values[0]:g},{values[1]:g}")
+            origin, direction = camera.ray(*values)
+            found.append(origin + direction * depth / (camera.world_to_camera[2, :3] @ direction))
+        return scale_between(*found, self.length)
 
 
 def held_objects(room: PlacedRoom, say: Callable[[str], None]) -> tuple[PlacedRoom, list[Support]]:
@@ -131,8 +175,12 @@ def held_objects(room: PlacedRoom, say: Callable[[str], None]) -> tuple[PlacedRo
     g, lost = room.gaussians, {}
     for k in sorted({*range(1, len(g.objects) + 1), *np.unique(g.object_id).tolist()} - {0}):
         own = g.object_id == k
-        if why := too_little(g.select(own), room.weight[own].sum() / room.weight.sum()):
+        opaque, share = len(g.select(own).opaque()), room.weight[own].sum() / room.weight.sum()
+        if opaque < MIN_GAUSSIANS:
+            why = f"only {opaque} opaque Gaussians belong to it; train longer (--steps) or mark more of it"
             lost[object_name(g, k)] = why
+        elif share < OBJECT_SHARE:
+            lost[object_name(g, k)] = "the photographs hardly show it; mark more of it, or leave it out"
     while True:
         room, lost, held = without_objects(room, lost, say), {}, []
         parts, rest = room.parts()
@@ -159,14 +207,6 @@ def without_objects(room: PlacedRoom, lost: dict[str, str], say: Callable[[str],
         if k and object_name(g, k) in lost:
             ids[ids == k] = 0
     return replace(room, gaussians=replace(g, object_id=ids))
-
-
-def too_little(part: Gaussians, share: float) -> str:
-    """Reason why Gaussians with this share of the pictures cannot become an object; "" if they can."""
-    opaque = len(part.opaque())
-    if opaque < MIN_GAUSSIANS:
-        return f"only {opaque} opaque Gaussians belong to it; train longer (--steps) or mark more of it"
-    return "the photographs hardly show it; mark more of it, or leave it out" if share < OBJECT_SHARE else ""
 
 
 def inpainted(
@@ -209,10 +249,16 @@ def bodies(
     parts, _ = room.parts()
     found, lost, files = [], {}, object_files(room.names)
     for k, (name, part, support) in enumerate(zip(room.names, parts, held, strict=True)):
-        of_object = progress(name, k, len(parts))
         try:
             made = object_body(
-                name, files[k], part, support, vertices=vertices, material=material, progress=of_object, say=say
+                name,
+                files[k],
+                part,
+                support,
+                vertices=vertices,
+                material=material,
+                progress=progress(name, k, len(parts)),
+                say=say,
             )
             found.append(made)
         except BadInput as e:
@@ -225,8 +271,8 @@ def background(
     rest: Gaussians,
     bodies: Sequence[tuple[Asset, RoomObject]],
     *,
-    cell: float | None = None,
-    progress: Progress = no_progress,
+    cell: float | None,
+    progress: Progress,
 ) -> Asset:
     """The environment of the room without its objects, with a seat for each."""
     near = []
@@ -238,17 +284,9 @@ def background(
     return seated(made, bodies)
 
 
-def placed_points(points: np.ndarray, placed: RoomObject) -> np.ndarray:
-    """Points (N, 3) of an object's asset in the room [m]."""
-    return points @ matrices_from_quaternions(np.array(placed.rotation)).T + placed.position
-
-
 def with_objects(rest: Gaussians, bodies: Sequence[tuple[Asset, RoomObject]]) -> Gaussians:
     """The Gaussians of the room with its objects in their places."""
-    turned = [
-        asset.gaussians.transformed(matrices_from_quaternions(np.array(placed.rotation)), placed.position)
-        for asset, placed in bodies
-    ]
+    turned = [asset.gaussians.transformed(turn_of(placed), placed.position) for asset, placed in bodies]
     return concatenate([replace(g, objects=()) for g in (rest, *turned)])
 
 

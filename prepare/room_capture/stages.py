@@ -57,30 +57,28 @@ class Stages:
             self._print(f"kept from an earlier run ({self.seconds[name]:.0f} s)", end=True)
             return done
         if about_of(part).get("digest") != self._digest:
-            remove(part)
+            shutil.rmtree(part, ignore_errors=True)
         make_folder(part)
         spent = float(about_of(part).get("seconds", 0.0))
-        write_about(part, {"digest": self._digest, "seconds": spent})
+        about = {"digest": self._digest, "seconds": spent}
+        write_json(part / ABOUT, about)
         try:
             make(part)
         except OSError as e:  # of what has no error of its own
             raise BadInput(f"{e.filename or part}: cannot be written ({reason_of(e)})") from e
         finally:  # what was spent counts, also if it was cut
-            spent += time.perf_counter() - self._begin
+            spent = about["seconds"] = spent + time.perf_counter() - self._begin
             with suppress(BadInput):  # the disk may be full
-                write_about(part, {"digest": self._digest, "seconds": spent})
-        write_about(part, {"digest": self._digest, "seconds": spent, "files": file_sizes(part)})
-        remove(done)
+                write_json(part / ABOUT, about)
+        write_json(part / ABOUT, about | {"files": file_sizes(part)})
+        shutil.rmtree(done, ignore_errors=True)
         part.rename(done)
         self.seconds[name] = spent
         self._print(f"{spent:.1f} s", end=True)
         return done
 
     def progress(self, step: str, done: float) -> None:
-        """Report the progress of a step of the current stage, a fraction, and the time left of that step.
-
-        Nothing is known of the steps after it. Steps are told apart by their names.
-        """
+        """Report the progress of a step of the current stage, a fraction, and the time left of that step."""
         self._tell(step, done, "")
 
     def part(self, label: str, k: int, count: int) -> Callable[[str, float], None]:
@@ -125,17 +123,6 @@ def file_sizes(folder: Path) -> dict[str, int]:
     """Size [bytes] of each file of a stage but its stage.json, by path within its folder."""
     found = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != ABOUT)
     return {p.relative_to(folder).as_posix(): p.stat().st_size for p in found}
-
-
-def write_about(folder: Path, about: dict) -> None:
-    """Write a stage's stage.json: else the one before stays, without which what a cut stage has made is lost. Raises
-    BadInput."""
-    write_json(folder / ABOUT, about)
-
-
-def remove(folder: Path) -> None:
-    """Remove a stage's folder, if there is one."""
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def file_key(path: Path) -> list:

@@ -12,7 +12,7 @@ from assets.environment import Environment
 from assets.file_access import FOLDER_LOCK, locked_folder
 from assets.gaussians import Gaussians
 from commands.capture_report import played, spent
-from commands.capture_room import STAGES, RoomMaking, check_points, stages_before
+from commands.capture_room import STAGES, RoomMaking, stages_before
 from commands.parser import parse
 from core.errors import BadInput
 from core.report import html_page
@@ -126,12 +126,3 @@ def test_the_report_tells_how_to_play_what_is_free_and_what_each_stage_took(tmp_
     stages = (*stages_before(tmp_path / "walk.mp4"), *STAGES)
     page = html_page("attic", "", [spent(dict.fromkeys(stages, 2.0))])
     assert all(f"<td>{name}</td>" in page for name in stages) and "<td>16.0</td>" in page
-
-
-def test_points_of_the_scale_are_checked_before_the_training():
-    sizes = {"a.jpg": (160, 120)}
-    check_points(["a.jpg:159,119", "1,2,3", "0.5"], sizes)
-    check_points(None, sizes)
-    for point, why in (("b.jpg:1,1", "no photograph b.jpg"), ("a.jpg:160,5", "has 160x120 pixels")):
-        with pytest.raises(BadInput, match=why):
-            check_points(["1,2,3", point, "0.5"], sizes)

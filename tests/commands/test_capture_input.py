@@ -135,7 +135,7 @@ def test_marks_of_photographs_without_a_pose_are_left_out():
     mark, said = BALL.objects["ball"]["1.png"], []
     marks = Marks({"ball": {"1.png": mark, LOST: mark}})
     assert list(marks_in(marks, ["0.png", "1.png"], said.append).objects["ball"]) == ["1.png"]
-    assert said == ["ball: not used are its marks in 3.png, whose pose was not found"]
+    assert said == ["ball: its marks in 3.png are not used: no pose was found"]
     with pytest.raises(
         BadInput, match=r"'ball' is marked only in 1\.png, 3\.png, whose pose was not found; mark it in"
     ):

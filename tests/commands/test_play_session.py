@@ -96,8 +96,8 @@ def session(monkeypatch):
     def begin(*script, **outputs):
         kinds = dict.fromkeys(("film", "recording", "study", "sound")) | {"keeper": SimpleNamespace(scene="")} | outputs
         return play_session.Session(
-            PlayOptions(scene="one", arch="cpu"), NamedScene("one"), ScriptedDisplay(*script),
-            play_session.Outputs(**kinds), replay=None, load=load, world_options={}, preferences=Preferences(),
+            PlayOptions(scene="one", arch="cpu", state="no light of the user's"), NamedScene("one"),
+            ScriptedDisplay(*script), **kinds, replay=None, load=load, world_options={}, preferences=Preferences(),
         )  # fmt: skip
 
     def load(options):
@@ -106,7 +106,6 @@ def session(monkeypatch):
         return NamedScene(options.scene if options.stage is None else f"{options.scene} in {options.stage}")
 
     monkeypatch.setattr("display.world.World", EmptyWorld)
-    monkeypatch.setattr(play_session.Session, "_light_is_kept", lambda self: False)
     monkeypatch.setattr(play_session, "end_taichi", lambda: None)
     monkeypatch.setattr(play_session, "start_taichi", lambda arch, seed: None)
     monkeypatch.setattr("display.scene_bodies.load_bodies", lambda scene: None)

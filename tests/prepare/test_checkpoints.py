@@ -10,7 +10,7 @@ from assets.asset import Asset
 from assets.splat_files import write_gaussians
 from prepare.pipeline import STEPS, VERSION, Options
 from prepare.prepared_files import prepare_file
-from prepare.progress import Checkpoints, ProgressBar, ProgressLines, progress_on
+from prepare.progress import Checkpoints, StepProgress
 from tests.support.shells import ball
 
 
@@ -91,8 +91,7 @@ class Terminal(io.StringIO):
 
 def test_a_terminal_gets_a_bar_and_a_file_gets_lines():
     screen, file = Terminal(), io.StringIO()
-    bar, lines = progress_on(screen, STEPS), progress_on(file, STEPS)
-    assert isinstance(bar, ProgressBar) and isinstance(lines, ProgressLines)
+    bar, lines = StepProgress(STEPS, screen), StepProgress(STEPS, file)
     for step in STEPS:
         bar(step, 0.0)
         lines(step, 0.0)

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from prepare.pipeline import Options, prepare
-from prepare.preparation_report import examine, histogram, length, page_of, report_names, texts_of
+from prepare.preparation_report import examine, histogram, length, page_of, report_names, report_texts
 from prepare.report_pictures import HEIGHT, PAPER, WIDTH
 from tests.support.shells import ball
 
@@ -89,7 +89,7 @@ def test_the_histogram_is_an_svg_with_a_bar_for_each_full_bin(made):
 
 def test_both_texts_say_the_same(made):
     *_, numbers, pictures = made
-    page, data = texts_of("ball.h5", numbers, pictures, ("said",))
+    page, data = report_texts("ball.h5", numbers, pictures, ("said",))
     numbers = json.loads(data)
     assert numbers["notes"] == ["said"] and numbers["cage"]["mesher"] == "stuffing"
     assert numbers["cage"]["cells"] == "adaptive" and "adaptive cells" in page

@@ -89,8 +89,7 @@ def test_a_splat_of_impossible_size(prepared, tmp_path, factor):
     assert_refused(prepared("ball.ply"), "extent is")
 
 
-def test_without_a_number_the_cage_suits_the_device_and_a_line_says_so(prepared, tmp_path, monkeypatch):
-    monkeypatch.setattr("prepare.prepared_files.splat_picture", lambda *_: np.zeros((48, 56, 3), np.uint8))
+def test_without_a_number_the_cage_suits_the_device_and_a_line_says_so(prepared, tmp_path):
     write_gaussians(tmp_path / "ball.ply", ball())
     status, said, _ = prepared("ball.ply", "--no-report")
     least = DEVICE_VERTICES["cpu"][0]
@@ -168,10 +167,8 @@ def test_an_empty_scene(prepared, tmp_path):
 
 def test_an_asset_is_not_left_behind_without_its_report(prepared, tmp_path, monkeypatch):
     write_gaussians(tmp_path / "ball.ply", ball(1000))
-    monkeypatch.setattr("prepare.prepared_files.splat_picture", lambda *_: np.zeros((48, 56, 3), np.uint8))
-    monkeypatch.setattr(
-        "prepare.prepared_files.report_texts", lambda *_, **__: ("page", "\ud800")
-    )  # no UTF-8: cannot be written
+    monkeypatch.setattr("prepare.prepared_files.examine", lambda *_: ({}, {}))
+    monkeypatch.setattr("prepare.prepared_files.report_texts", lambda *_: ("page", "\ud800"))  # no UTF-8
     with pytest.raises(UnicodeEncodeError):
         prepared("ball.ply", "--vertices", "200", "--up", "+y")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.ply", "cache"]

@@ -103,7 +103,7 @@ def test_a_fitted_skeleton_keeps_its_bones_and_moves_like_the_rig():
             wanted = (theirs[:, j] - theirs[:, i]) @ turn.T
             wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
             assert (ours * wanted).sum(1).min() > np.cos(np.radians(4))  # which way the rig looks is its mean
-    assert f.residual["left_elbow"][1] < 1e-9 and f.residual["left_wrist"][0] > 0.005
+    assert f.residual["left_elbow"] < 1e-9
 
 
 def test_residuals_tell_what_left_and_right_disagree_in():
@@ -111,7 +111,7 @@ def test_residuals_tell_what_left_and_right_disagree_in():
     points["left_wrist"] = points["left_elbow"] + 1.2 * (points["left_wrist"] - points["left_elbow"])
     f = retarget(rig, marks_of(points))
     forearm = np.linalg.norm(points["right_wrist"] - points["right_elbow"])
-    assert_allclose(f.residual["left_wrist"][1], 0.1 * forearm, rtol=1e-6)
+    assert_allclose(f.residual["left_wrist"], 0.1 * forearm, rtol=1e-6)
     points["left_elbow"] = points["left_shoulder"]
     with pytest.raises(BadInput, match="one place"):
         retarget(rig, marks_of(points))

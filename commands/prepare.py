@@ -14,6 +14,7 @@ from core.material import MATERIALS
 from core.runtime import start_taichi
 
 WHERE = cli.OneOf(required=True)
+OF_BODIES = ("--material", "--mesher", "--rig", "--landmarks", "--no-report")
 
 
 @dataclass(kw_only=True)
@@ -25,24 +26,12 @@ class PrepareOptions(cli.Preparation):
             ("--pieces",), lambda o: not o.static, "belongs to bodies; objects are cut out of a scene with --cut"
         ),
         cli.Condition(
-            ("--front", "--vertices", "--cells", "--material", "--mesher", "--rig", "--landmarks", "--no-report"),
+            ("--front", "--vertices", "--cells", *OF_BODIES),
             lambda o: not o.static,
             "belongs to bodies; with --static nothing is simulated",
         ),
         cli.Condition(
-            tuple(
-                [
-                    "--cell",
-                    "--cut",
-                    "--material",
-                    "--mesher",
-                    "--rig",
-                    "--landmarks",
-                    "--no-report",
-                    "--force",
-                    "--quantised",
-                ]
-            ),
+            ("--cell", "--cut", *OF_BODIES, "--force", "--quantised"),
             lambda o: not o.cache,
             "belongs to --out",
         ),

@@ -31,7 +31,6 @@ WORK = {
     "inpaint": "what the objects hid",
     "room": "the collider",
 }
-PAPER_SECONDS = 2.5 * 3600  # the paper's time to prepare a scene
 
 
 def write_report(out: Path, room: PlacedRoom, rest: Asset, things: list, photographs: list, about: dict) -> None:
@@ -66,12 +65,12 @@ def write_report(out: Path, room: PlacedRoom, rest: Asset, things: list, photogr
         picture = drawn(asset.gaussians, camera_for(asset.cage.vertices, WIDTH, WIDTH))
         sections.append(Section(thing.name, described(asset, thing, eye), {"by itself": picture}))
     sections += [played(out, rest, eye), spent(about["seconds"])]
-    test = about["training"].get("test")
-    quality = f" Unseen photographs: PSNR {test['psnr']:.2f} dB, SSIM {test['ssim']:.3f}." if test else ""
     count = f"{len(things)} object{'' if len(things) == 1 else 's'}"
-    page = html_page(out.absolute().name, f"{len(rest.gaussians):,} Gaussians, {count}.{quality}", sections)
+    text = f"{len(rest.gaussians):,} Gaussians, {count}."
+    if test := about["training"].get("test"):
+        text += f" Unseen photographs: PSNR {test['psnr']:.2f} dB, SSIM {test['ssim']:.3f}."
     with atomic_write(out / "report.html") as beside:
-        beside.write_text(page, encoding="utf-8")
+        beside.write_text(html_page(out.absolute().name, text, sections), encoding="utf-8")
 
 
 def described(asset: Asset, thing: RoomObject, eye: tuple) -> str:
@@ -105,17 +104,13 @@ def spent(seconds: dict[str, float]) -> Section:
     """Seconds of each stage."""
     rows = [(name, WORK[name], f"{s:.1f}") for name, s in seconds.items()]
     table = Table(("stage", "", "seconds"), [*rows, ("in all", "", f"{sum(seconds.values()):.1f}")])
-    note = f"The authors of the paper prepared a scene in {PAPER_SECONDS / 60:.0f} minutes."
-    return Section(
-        "Time", "Of each stage; of one that was kept from an earlier run, what it took then.", table=table, note=note
-    )
+    text = "Of each stage; a stage that was kept from an earlier run took this long then."
+    return Section("Time", text, table=table, note="The authors of the paper prepared a scene in 150 minutes.")
 
 
 def narrowed(camera: Camera) -> Camera:
     """The camera with a picture WIDTH pixels wide."""
-    s = WIDTH / camera.width
-    height = max(1, round(s * camera.height))
-    return Camera(WIDTH, height, s * camera.fx, s * camera.fy, s * camera.cx, s * camera.cy, camera.world_to_camera)
+    return camera.resized(WIDTH, max(1, round(WIDTH / camera.width * camera.height)))
 
 
 def drawn(gaussians: Gaussians, camera: Camera) -> np.ndarray:

@@ -70,7 +70,7 @@ class CaptureOptions(cli.Options):
         "MARKS.json", "marks of objects (default: CAPTURE/marks.json, else /masks, else a window opens)", one_of=OBJECTS
     )
     masks: Path | None = cli.option("FOLDER", "folder of masks, one colour per object", one_of=OBJECTS)
-    no_objects: bool = cli.switch("only the room; nothing in it can be grabbed", one_of=OBJECTS)
+    no_objects: bool = cli.switch("make only the room, with nothing to grab", one_of=OBJECTS)
     scale_points: tuple[str, str, str] | None = cli.option(
         ("A", "B", "M"),
         "two points, each PHOTOGRAPH:x,y [px] or x,y,z in the capture, and their distance, as 0.46 or 46cm (default: "
@@ -88,7 +88,7 @@ class CaptureOptions(cli.Options):
 
 
 def capture(options: CaptureOptions) -> None:
-    """Make the room, stage by stage. Raises BadInput before anything long where an input is at fault."""
+    """Make the room, stage by stage. Raises BadInput, for bad input before anything takes long."""
     make_room(options)
     print(f"{options.out}: play it with: python vrgs.py --scene {options.out}")
 

@@ -36,7 +36,7 @@ class ExportOptions(SceneOptions):
     )
     CONDITIONS = (
         STATE,
-        cli.Condition(("--format",), lambda o: is_folder(o.out), "is for a folder: a file's name says its kind"),
+        cli.Condition(("--format",), lambda o: is_folder(o.out), "is for a folder; a file's name gives its format"),
         cli.Condition(("--every",), lambda o: is_folder(o.out), "is for a sequence: --out must be a folder"),
         cli.Condition(("--no-shadows",), lambda o: kind_of(o) not in ("vtu", "obj"), "is for splats, not for cages"),
         PREPARATION,
@@ -47,8 +47,8 @@ class ExportOptions(SceneOptions):
     )
     every: cli.Count | None = cli.option("N", "sequence: every N-th frame, of 60 a second (default 2)")
     format: Kind = cli.option(None, "sequence: kind of its files (default ply)", "ply")
-    only: str | None = cli.option("BODY", "one body, by its number or the name of its asset")
-    no_shadows: bool = cli.switch("splats: colours as in full light")
+    only: str | None = cli.option("BODY", "only one body, by its number or the name of its asset")
+    no_shadows: bool = cli.switch("splats: write colours as in full light")
 
 
 def kind_of(options: ExportOptions) -> str:

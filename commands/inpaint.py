@@ -44,14 +44,14 @@ class InpaintOptions(cli.Options):
     )
     out: Path = cli.option("OUT", "OUT.ply, .spz, .splat, .compressed.ply", cli.REQUIRED)
     capture: Path | None = cli.option(
-        "CAPTURE", "what SCENE was trained on: fills what no photograph shows (default: what is empty under OBJECT)"
+        "CAPTURE", "what SCENE was trained on: fill what no photograph shows (default: what is empty under OBJECT)"
     )
     lama: Path | None = cli.option(
         "FILE.onnx", "LaMa network, image (1, 3, 512, 512) and mask (1, 1, 512, 512) in 0..1 (default: patch synthesis)"
     )
-    keep_shadow: bool = cli.switch("leave the object's shadow (default: its surroundings get their light back)")
+    keep_shadow: bool = cli.switch("keep the object's shadow (default: the surroundings are relit)")
     steps: cli.Count | None = cli.option("N", "training steps of the new Gaussians (default 200)")
-    report: Path | None = cli.option("R.json", "write the results as JSON, a page and a picture (before, after)")
+    report: Path | None = cli.option("R.json", "write the results as JSON, as a page, and as a picture (before, after)")
     truth: Path | None = cli.option("FOLDER", "--report: photographs without the object, named as in the capture")
     reduce: cli.Count = cli.reduce_option("the truth")
     arch: cli.Arch | None = cli.arch_option()

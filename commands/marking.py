@@ -142,7 +142,7 @@ class PhotographSubject:
     def select(self, state: MarkState) -> str:
         marks, self._state = marks_of_state(state), state
         once = [name for name, views in marks.objects.items() if len(views) == 1]
-        return f"{', '.join(once)}: mark it in one more photograph, from elsewhere" if once else ""
+        return f"{', '.join(once)}: mark it in one more photograph, from another side" if once else ""
 
     def picture(self) -> np.ndarray:
         _, pixels = self._photograph()

@@ -222,7 +222,7 @@ def colour(text: str) -> tuple[float, float, float]:
     if text in BACKGROUND_NAMES:
         return BACKGROUND_NAMES[text]
     if re.fullmatch(r"#[0-9a-fA-F]{6}", text) is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(BACKGROUND_NAMES)}, nor like #8090a0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a colour: {', '.join(BACKGROUND_NAMES)}, or as #8090a0")
     return tuple(int(text[k : k + 2], 16) / 255 for k in (1, 3, 5))
 
 
@@ -253,7 +253,7 @@ RenderScale = Annotated[float, within(0.1, 2.0, "between 0.1 and 2")]
 
 def arch_option() -> Any:
     """--arch."""
-    return option(None, "where kernels run; unset: CUDA if there is one, else the CPU")
+    return option(None, "where kernels run (default: CUDA if there is a GPU, else the CPU)")
 
 
 def seed_option() -> Any:
@@ -263,8 +263,8 @@ def seed_option() -> Any:
 
 def sort_option(mode: str) -> Any:
     """--sort; `mode`: the default for splats that do not know theirs."""
-    text = "order of Gaussians: by depth, by distance, or by distance along each pixel's ray (default: what they were"
-    return option(None, f"{text} trained for, z for files from elsewhere; else {mode})")
+    text = "blending order: by depth, by distance, or by distance along each pixel's ray (default: as they were trained"
+    return option(None, f"{text}, z for files from elsewhere; else {mode})")
 
 
 def by_device(numbers: dict[str, int]) -> str:
@@ -274,7 +274,7 @@ def by_device(numbers: dict[str, int]) -> str:
 
 def reduce_option(what: str) -> Any:
     """--reduce."""
-    return option("N", f"divide width and height of {what} by N", 1)
+    return option("N", f"divide the width and height of {what} by N", 1)
 
 
 @dataclass(kw_only=True)
@@ -288,6 +288,6 @@ class Preparation(Options):
         "N", "vertices of a splat's cage (default: as suits the device, 500 on a CPU, 2000 on a GPU)"
     )
     cells: Literal["adaptive", "uniform"] = option(
-        None, "cells of the cage: smaller where thin or curved, or all alike (default adaptive)", "adaptive"
+        None, "cells of the cage: smaller where it is thin or curved, or all alike (default adaptive)", "adaptive"
     )
-    pieces: bool = switch("each separate piece gets a cage and becomes a body (default: the largest alone)")
+    pieces: bool = switch("make each separate piece a body with its own cage (default: only the largest)")

@@ -26,33 +26,33 @@ COMMANDS = {  # module and function, which takes the command's options as their 
     "train": ("commands.train:train", "train Gaussians on photographs or a video"),
     "capture": (
         "commands.capture_room:capture",
-        "turn photographs into a room to play in: its objects can be grabbed, and what they hid is filled in",
+        "turn photographs into a room to play in, with objects to grab; what they hid is filled in",
     ),
-    "prepare": ("commands.prepare:prepare", "make a splat an elastic body, or a room playable"),
+    "prepare": ("commands.prepare:prepare", "make an elastic body of a splat, or a room to play in"),
     "segment": (
         "commands.segment:segment",
         "find marked objects in all photographs of a capture, or take them out of a splat",
     ),
-    "inpaint": ("commands.inpaint:inpaint", "remove an object from a splat, and fill the hole that it leaves"),
+    "inpaint": ("commands.inpaint:inpaint", "remove an object from a splat and fill the hole that it leaves"),
     "convert": ("commands.export:convert", "convert between splat formats"),
     "export": (
         "commands.export:export",
-        "write a scene as it is in play: splats, cages, surfaces, or a sequence of them",
+        "write a scene as it is played: splats, cages or surfaces, of one frame or a sequence",
     ),
     "bench": ("commands.measuring:bench", "measure speed and quality"),
     "figures": (
         "commands.measuring:figures",
-        "make the paper's figures and tables: one page with pictures and numbers",
+        "make the paper's figures and tables, on one page with pictures and numbers",
     ),
     "tune": (
         "commands.measuring:tune",
-        "drop a body with one stiffness after another: what each does, as a table and a strip of pictures",
+        "drop a body with a range of stiffnesses, and show the results as a table and a strip of pictures",
     ),
     "materials": ("commands.listing:list_materials", "list the materials by name"),
     "check": ("commands.measuring:check", "measure the physics against theory and finite elements"),
     "study": (
         "commands.study:study",
-        "compare recorded participants in the settings physics and transform; the questionnaire",
+        "compare participants in the settings physics and transform; ask the questionnaire",
     ),
 }
 
@@ -89,7 +89,7 @@ def parse(argv: Sequence[str]) -> tuple[Callable[[Options], int | None] | None, 
     read = parser.parse_known_intermixed_args if several else parser.parse_known_args
     values, unknown = read(argv)
     if unknown:
-        raise BadInput(f"{' '.join(unknown)}: is one too many; see {parser.prog} --help")
+        raise BadInput(f"unexpected argument {' '.join(unknown)}; see {parser.prog} --help")
     options = kind(**vars(values), given=given)
     options.check()
     return function, options
@@ -164,7 +164,7 @@ def add_scene_options(parser: Parser, scene_file: str | None) -> None:
             group.add_argument(uses[0][1].flag, dest=name, action=SetSceneOption, metavar="X", help=says)
         except argparse.ArgumentError:
             scenes = ", ".join(scene for scene, _ in uses)
-            print(f"vrgs: {scenes}: {uses[0][1].flag} means something else already: rename it", file=sys.stderr)
+            print(f"vrgs: {scenes}: {uses[0][1].flag} already has another meaning; rename it", file=sys.stderr)
     own = None if scene_file is None else registry.demo(scene_file)
     for option in () if own is None else own.options:
         if option.flag not in parser._option_string_actions:  # else other scenes have it as well
@@ -192,25 +192,20 @@ def scene_file_in(argv: Sequence[str]) -> str | None:
 def command_position(parser: Parser, argv: list[str]) -> int | None:
     """Index of the command: the first word that is neither an option nor an option's value; None if there is none.
 
-    Raises BadInput if that is no command, or follows an unknown option.
+    Raises BadInput if that word is no command.
     """
-    k = 0
-    while k < len(argv):
-        word = argv[k]
-        if word in COMMANDS:
+    for k, (before, word) in enumerate(zip(["", *argv], argv, strict=False)):
+        if word.startswith("-") and word != "-":
+            continue
+        takes_value = before.startswith("-") and "=" not in before
+        option = named_option(parser, before) if takes_value else None
+        if takes_value and (option is None or option.nargs == "?"):  # of a command perhaps, or without a value
+            if word in COMMANDS:
+                return k
+        elif not takes_value or option.nargs == 0:
+            if word not in COMMANDS:
+                raise BadInput(no_command(word))
             return k
-        if not word.startswith("-") or word == "-":
-            raise BadInput(no_command(word))
-        option = named_option(parser, word)
-        k += 1
-        if option is None:
-            if (before := next((i for i in range(k, len(argv)) if argv[i] in COMMANDS), None)) is not None:
-                return before  # it may be an option of that command
-            raise BadInput(no_option(word, parser, None))
-        if "=" not in word and option.nargs != 0:
-            least, most = {None: (1, 1), "?": (0, 1)}.get(option.nargs, (1, len(argv)))
-            while most and k < len(argv) and (least or not (argv[k].startswith("-") or argv[k] in COMMANDS)):
-                k, least, most = k + 1, max(0, least - 1), most - 1
     return None
 
 
@@ -240,15 +235,15 @@ def no_option(word: str, parser: Parser, command: str | None) -> str:
     """The message about an unknown option, with the nearest one."""
     flag = word.partition("=")[0]
     near = difflib.get_close_matches(flag, parser._option_string_actions, 1)
-    whose = "there is no option" if command is None else f"{command} has no option"
-    return f"{whose} {flag}" + (f"; {near[0]}?" if near else f"; see {parser.prog} --help")
+    unknown = f"unknown option {flag}" if command is None else f"{command} has no option {flag}"
+    return unknown + (f"; did you mean {near[0]}?" if near else f"; see {parser.prog} --help")
 
 
 def no_command(word: str) -> str:
     """The message about a word that is no command, with the nearest one."""
     if Path(word).suffix:
-        return f"{word}: to look at it: vrgs.py view {word}; to play with it: vrgs.py --scene sandbox --body {word}"
+        return f"{word} is no command; to see it: vrgs.py view {word}; to play: vrgs.py --scene sandbox --body {word}"
     if word == "build":
-        return "build: the models of the shipped assets are built by python -m studio, in the source"
+        return "build: the models of the shipped assets are built from source, by python -m studio"
     near = difflib.get_close_matches(word, COMMANDS, 1)
-    return f"there is no command {word}; {near[0]}?" if near else f"there is no command {word}; see vrgs.py --help"
+    return f"unknown command {word}; " + (f"did you mean {near[0]}?" if near else "see vrgs.py --help")

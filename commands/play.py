@@ -111,7 +111,7 @@ def open_replay(options: PlayOptions) -> Replay | None:
     if not options.replay:
         return None
     if options.xr:
-        raise BadInput("--replay is seen in a window or with --headless: leave out --xr")
+        raise BadInput("--replay plays in a window or with --headless: leave out --xr")
     from display.record.replay import Replay
 
     replay = Replay.load(options.replay)
@@ -145,12 +145,12 @@ def take_options(options: PlayOptions, about: dict[str, Any], file: Path, made: 
         if key == "body" and isinstance(value, str):  # until version 2 of recordings
             value = [value]
         if f"--{key}" in options.given and key != "state" and getattr(options, key) != value:
-            raise BadInput(f"--{key} {getattr(options, key)}: the {made} with {value}, which stays")
+            raise BadInput(f"--{key} {getattr(options, key)}: the {made} with {value}, which cannot be changed")
         setattr(options, key, value)
     options.options = options.options or {}  # none in old recordings
     options.arch = options.arch or about.get("arch")
     if is_scene_file(options.scene) and options.scene != scene:
-        raise BadInput(f"{file}: was played in a scene file; name it too: --scene {options.scene}")
+        raise BadInput(f"{file}: was played in a scene file; name that too: --scene {options.scene}")
 
 
 def open_recording(options: PlayOptions):
@@ -243,12 +243,7 @@ def open_display(
     frames = min(options.frames or len(replay), len(replay)) if replay else frames
     width, height = options.size or SIZE
     return Headless(
-        scene,
-        width=width,
-        height=height,
-        frames=frames,
-        views=2 if options.stereo else 1,
-        scripted=replay is None,
+        scene, width=width, height=height, frames=frames, views=2 if options.stereo else 1, scripted=replay is None
     )
 
 

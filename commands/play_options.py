@@ -13,9 +13,9 @@ INPUT, WHERE = cli.OneOf(), cli.OneOf()
 PREPARATION = cli.Condition(
     ("--up", "--front", "--scale", "--vertices", "--cells", "--pieces"),
     lambda o: o.replay or not all(map(is_asset, o.body or ())),
-    "is for a splat file given by --body; an asset or a room of its own: see vrgs.py prepare",
+    "is for a splat file given with --body; for an asset or a room, see vrgs.py prepare",
 )
-STATE = cli.Condition(("--state",), lambda o: not o.replay, "is not for a replay, which begins where it did")
+STATE = cli.Condition(("--state",), lambda o: not o.replay, "is not for a replay, which has its own start")
 
 
 @dataclass(kw_only=True)
@@ -31,17 +31,17 @@ class SceneOptions(cli.Preparation):
     )
     arch: cli.Arch | None = cli.arch_option()
     interaction: cli.Setting = cli.option(
-        None, "effect of a grip: it deforms and throws bodies, or moves them as they are", "physics"
+        None, "what a grip does: deform and throw bodies, or move them rigidly", "physics"
     )
     embedding: Literal["two-level", "one-level"] = cli.option(None, "how Gaussians follow the cage", "two-level")
     frames: cli.Count | None = cli.option("N", "stop after N frames")
-    state: Path | None = cli.option("FILE.h5", "go on from a saved state, with its scene, bodies and view")
-    replay: Path | None = cli.option("FILE.h5", "replay recorded input, and compare the states", one_of=INPUT)
+    state: Path | None = cli.option("FILE.h5", "continue from a saved state, with its scene, bodies and view")
+    replay: Path | None = cli.option("FILE.h5", "replay recorded input and compare the states", one_of=INPUT)
     seed: int = cli.seed_option()
     body: list[str] | None = cli.option(
-        "FILE", "splat or asset to play with; several: in the scene's roles", repeat=True
+        "FILE", "splat or asset to play with; give several to fill the scene's roles", repeat=True
     )
-    stage: str | None = cli.option("ROOM", "a room to play in, a splat or prepared with --static")
+    stage: str | None = cli.option("ROOM", "room to play in: a splat, or an asset prepared with --static")
     material: str | None = cli.option("NAME", "material of --body (default: its own; see: vrgs.py materials)")
     detail: cli.Detail = cli.option(None, "assets as shipped, or at the paper's sizes (python -m studio)", "shipped")
     options: dict[str, Any] = field(default_factory=dict)
@@ -63,13 +63,13 @@ class DisplayOptions(cli.Options):
     stereo: bool = cli.switch("headless: draw two eyes, 63 mm apart")
     record: Path | None = cli.option("OUT.mp4", "write a film")
     snapshot: cli.PictureName | None = cli.option("OUT.png", "write the last frame: .png, .jpg or .webp")
-    save_state: Path | None = cli.option("FILE.h5", "write the state at the end; --state FILE.h5 goes on from it")
+    save_state: Path | None = cli.option("FILE.h5", "write the state at the end, to continue with --state FILE.h5")
     sound: Literal["auto", "on", "off"] = cli.option(
-        None, "sound of impacts, also in the film of --record; auto: if there is a device and the package", "auto"
+        None, "impact sounds, also in the film of --record; auto: if there are a sound device and package", "auto"
     )
     stats: Path | None = cli.option("OUT.json", "write timings and counts")
-    record_input: Path | None = cli.option("FILE.h5", "record your input, to be replayed", one_of=INPUT)
-    study: Path | None = cli.option("OUT.h5", "record the play in this file of a user study (see: vrgs.py study)")
+    record_input: Path | None = cli.option("FILE.h5", "record your input, for --replay", one_of=INPUT)
+    study: Path | None = cli.option("OUT.h5", "record the trials in a user-study file (see: vrgs.py study)")
     participant: str | None = cli.option("NAME", "--study: name of the player, by which both settings are compared")
 
 
@@ -83,7 +83,7 @@ class PlayOptions(SceneOptions, DisplayOptions):
         "--scene my_scene.py                    play a scene file of yours (docs/writing_a_scene.md)",
         "--scene ROOM/                          play in a room that was captured (vrgs.py capture)",
         "--scene ring_toss --headless --record toss.mp4 --stats toss.json",
-        "--xr --record-input play.h5            play in a headset, and keep what you do",
+        "--xr --record-input play.h5            play in a headset and record what you do",
         "--web                                  play in a browser: for machines without a display",
         "--replay play.h5                       see it again; with --headless --record play.mp4: film it",
         "scenes                                 list the demos",
@@ -98,14 +98,14 @@ class PlayOptions(SceneOptions, DisplayOptions):
     )
     CONDITIONS = (
         cli.Condition(("--render-scale",), lambda o: o.xr, "belongs to --xr; elsewhere: --size"),
-        cli.Condition(("--size",), lambda o: not o.xr, "is not for --xr: a headset says what it takes; --render-scale"),
+        cli.Condition(("--size",), lambda o: not o.xr, "is not for --xr: the headset decides; see --render-scale"),
         cli.Condition(("--stereo",), lambda o: o.headless, "belongs to --headless"),
         cli.Condition(("--host",), lambda o: o.web is not None, "belongs to --web"),
         STATE,
         cli.Condition(
             ("--sound",),
             lambda o: o.sound != "on" or o.record or not (o.headless or o.web is not None),
-            "on: nothing is heard here, but in the film of --record",
+            "on: there is no sound here, except in the film of --record",
         ),
         cli.Condition(("--participant",), lambda o: o.study, "belongs to --study OUT.h5"),
         PREPARATION,

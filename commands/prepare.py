@@ -31,16 +31,14 @@ class PrepareOptions(cli.Preparation):
             "belongs to bodies; with --static nothing is simulated",
         ),
         cli.Condition(
-            ("--cell", "--cut", *OF_BODIES, "--force", "--quantised"),
-            lambda o: not o.cache,
-            "belongs to --out",
+            ("--cell", "--cut", *OF_BODIES, "--force", "--quantised"), lambda o: not o.cache, "belongs to --out"
         ),
         cli.Condition(("--up", "--scale"), lambda o: not (o.cache and o.static), "belongs to --out"),
     )
 
     splats: Path = cli.argument("SPLATS", f"{cli.SPLATS}, skinned .glb; --static: or .h5")
     out: Path | None = cli.option("ASSET.h5", "file to write", one_of=WHERE)
-    cache: bool = cli.switch("keep it where --body and --stage look for it: a play begins at once", one_of=WHERE)
+    cache: bool = cli.switch("store it where --body and --stage look, so that play starts at once", one_of=WHERE)
     rig: Path | None = cli.option("RIG.glb", "animate a standing person by this rig's motion")
     landmarks: Path | None = cli.option("L.json", "positions of the person's joints (default: guessed)")
     material: str | None = cli.option(
@@ -51,10 +49,10 @@ class PrepareOptions(cli.Preparation):
     cut: list[cli.Count] | None = cli.option("ID", "--static: objects to cut out, each into a file")
     force: bool = cli.switch("overwrite OUT")
     mesher: Literal["stuffing", "tetgen"] = cli.option(
-        None, "maker of the tetrahedra (default stuffing; tetgen: see requirements-tetgen.txt)", "stuffing"
+        None, "how the tetrahedra are made (default stuffing; tetgen: see requirements-tetgen.txt)", "stuffing"
     )
-    no_report: bool = cli.switch("leave out ASSET.report.html and ASSET.report.json")
-    quantised: bool = cli.switch("a third to a fifth of the file's size, with losses hardly seen (docs/formats.md)")
+    no_report: bool = cli.switch("do not write ASSET.report.html and ASSET.report.json")
+    quantised: bool = cli.switch("a third to a fifth of the file's size, with barely visible losses (docs/formats.md)")
     arch: cli.Arch | None = cli.arch_option()
 
 

@@ -18,14 +18,7 @@ from core.runtime import start_taichi
 from display.picture import save_picture
 from prepare.progress import StepProgress
 from prepare.segment.marks import Marks, SplatMarks, read_marks, read_splat_marks, write_marks, write_splat_marks
-from prepare.segment.mask_files import (
-    check_masks_folder,
-    contact_sheet,
-    overlap_of,
-    overlays,
-    read_masks,
-    write_masks,
-)
+from prepare.segment.mask_files import check_masks_folder, contact_sheet, overlap_of, overlays, read_masks, write_masks
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import image_size, load_photograph
 
@@ -45,9 +38,7 @@ class SegmentOptions(cli.Options):
     )
     CONDITIONS = (
         cli.Condition(
-            ("--arch",),
-            lambda o: o.splats or is_splats(o.capture),
-            "belongs to --splats; nothing else needs a device",
+            ("--arch",), lambda o: o.splats or is_splats(o.capture), "belongs to --splats; nothing else needs a device"
         ),
         cli.Condition(
             ("--splats", "--model", "--reduce", "--overlay", "--compare"),
@@ -59,14 +50,14 @@ class SegmentOptions(cli.Options):
     capture: Path = cli.argument("CAPTURE|SPLATS", f"{cli.CAPTURES}; or a splat file in any format")
     marks: Path | None = cli.option(
         "MARKS.json",
-        "strokes and boxes, about two strokes per object (docs/your_own.md). By default a window opens to draw them; "
-        "they are saved in CAPTURE/marks.json, for a splat in FOLDER/marks.json",
+        "strokes and boxes, about two strokes per object (docs/your_own.md); by default a window opens to draw them, "
+        "and they are saved in CAPTURE/marks.json, or for a splat in FOLDER/marks.json",
     )
     out: Path = cli.option(
         "FOLDER", "a mask for each photograph; or a splat per object, background.ply, scene.ply with ids", cli.REQUIRED
     )
-    splats: Path | None = cli.option("SPLATS", "trained on the capture; its depth carries the marks, not sparse points")
-    model: Path | None = cli.option("FILE.onnx", "network that refines borders instead of GrabCut (docs/your_own.md)")
+    splats: Path | None = cli.option("SPLATS", "splat trained on the capture: its depth carries the marks to all views")
+    model: Path | None = cli.option("FILE.onnx", "network that refines borders, in place of GrabCut (docs/your_own.md)")
     reduce: cli.Count = cli.reduce_option("the photographs")
     overlay: Path | None = cli.option("SHEET", "write all photographs with the masks drawn over them: .png or .html")
     compare: Path | None = cli.option("MASKS", "folder of true masks: print the overlap (intersection over union, IoU)")
@@ -136,7 +127,7 @@ def segment_capture(options: SegmentOptions) -> None:
         seen = sum(bool((ids == label).any()) for ids in masks.ids)
         print(f"{name}: in {seen} of {len(masks.ids)} photographs, {masks.pixels(name):,} pixels")
         if seen < 0.3 * len(masks.ids):
-            print(f"{name}: found in few photographs; check with --overlay, mark it in one more", file=sys.stderr)
+            print(f"{name}: found in few photographs; check with --overlay, or mark it once more", file=sys.stderr)
     print(f"{options.out}: {len(masks.ids)} masks, {time.perf_counter() - start:.0f} s")
 
 

@@ -50,7 +50,7 @@ def study(options: StudyOptions) -> None:
         with atomic_write(options.form) as beside:
             beside.write_text(form_page(), encoding="utf-8")
         add = as_called(f"vrgs.py study {options.files[0]} --answers FILE.json")
-        print(f"wrote {options.form}; what it saves is added by: {add}")
+        print(f"wrote {options.form}; to add the answers that it saves: {add}")
     elif options.form is not None or options.answers:
         add_answers(options)
     else:
@@ -63,7 +63,7 @@ def add_answers(options: StudyOptions) -> None:
     from display.study.study_file import add_to_study, read_study
 
     if len(options.files) > 1:
-        raise BadInput("answers are added to one file: name one")
+        raise BadInput("answers are added to a single file")
     (path,) = options.files
     if path.exists():
         read_study(path)  # before anyone is asked

@@ -61,9 +61,9 @@ class TrainOptions(cli.Options):
     steps: cli.Count | None = cli.option(
         "N", f"steps, one photograph each (default {cli.by_device(STEPS)}; a third with --fast)"
     )
-    fast: bool = cli.switch("about the same quality in a third of the time: fewer steps, first on smaller pictures")
+    fast: bool = cli.switch("about the same quality in a third of the time: fewer steps, starting on small pictures")
     strategy: Literal["default", "mcmc"] = cli.option(
-        None, "default: adds Gaussians where detail is missing; mcmc: always uses all of --cap", "default"
+        None, "default: add Gaussians where detail is missing; mcmc: always use all of --cap", "default"
     )
     cap: cli.Count | None = cli.option("N", f"upper limit of Gaussians (default {cli.by_device(CAPS)})")
     degree: Literal[0, 1, 2, 3] = cli.option("D", "degree of the spherical harmonics, 0 to 3 (default 3)", 3)
@@ -76,7 +76,7 @@ class TrainOptions(cli.Options):
     reduce: cli.Count = cli.reduce_option("the photographs")
     masks: Path | None = cli.option(
         "FOLDER",
-        "object masks, one colour per object, to learn objects from; none: ignore them (default: CAPTURE/masks)",
+        "object masks to learn objects from, one colour per object; none: ignore them (default: CAPTURE/masks)",
     )
     split: bool = cli.switch("also write a splat of each object and of the background, beside OUT")
     test_every: int = cli.option("N", "hold out every Nth photograph for testing; 0: none (default 8)", 8)
@@ -104,19 +104,21 @@ def train(options: TrainOptions, capture: Capture | None = None) -> None:
             raise BadInput("--preview: no display to open a window on")
     capture, masks = _with_masks(options, (capture or posed_capture(options)).upright())
     kept_for_test(capture.views, options.test_every)  # refused before all photographs are loaded
-
-    def tell(count: int) -> None:
-        _tell(f"photographs {count}/{len(capture.views)}", end=count == len(capture.views))
-
-    photographs = load_photographs(capture.views, options.reduce, masks.ids if masks else None, progress=tell)
+    total = len(capture.views)
+    photographs = load_photographs(
+        capture.views,
+        options.reduce,
+        masks.ids if masks else None,
+        progress=lambda count: _tell(f"photographs {count}/{total}", end=count == total),
+    )
     train, test = kept_for_test(photographs, options.test_every)
     start_taichi(options.arch)
     print(_photographs(train), file=sys.stderr)
     if options.test_every and not test:
-        print(f"none is held out for testing: fewer than {options.test_every} (--test-every)", file=sys.stderr)
+        print(f"no photograph is held out for testing: fewer than {options.test_every} (--test-every)", file=sys.stderr)
     with _lowering(train, options):
         trainer, about, progress = _trained(options, capture, train, masks.names if masks else [])
-    seconds = progress.seconds
+    seconds = time.perf_counter() - progress.begin
     qualities = [trainer.quality(p) for p in test]
     gaussians = identified(trainer) if masks else trainer.gaussians()
     write_gaussians(options.out, gaussians, _say)
@@ -238,9 +240,8 @@ def photographs_of(path: Path, stages: Stages, say: Say) -> tuple[Path, list[Vie
         folder = stages.run("frames", {"video": file_key(path)}, make, source_digest(POSES_SOURCE))
     images, views = image_folder(folder), []
     for name in photographs_in(images):
-        view = View(images / name, Lens(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4))
-        width, height = image_size(view.image)
-        views.append(View(view.image, Lens(width, height, width, width, 0.5 * width, 0.5 * height), np.eye(4)))
+        width, height = image_size(images / name)
+        views.append(View(images / name, Lens(width, height, width, width, 0.5 * width, 0.5 * height), np.eye(4)))
     return folder, views
 
 
@@ -279,12 +280,7 @@ def _trainer(options: TrainOptions, capture, train: list, objects: list[str]):
         poses=options.refine_poses,
     )
     how = train_options.fast(how) if options.fast else how
-    about = {
-        **asdict(how),
-        "capture": str(options.capture),
-        "reduce": options.reduce,
-        "test_every": options.test_every,
-    }
+    about = {**asdict(how), "capture": str(options.capture), "reduce": options.reduce, "test_every": options.test_every}
     if objects:
         check_learned(objects, train)
         about |= {"masks": str(options.masks), "objects": objects}
@@ -304,7 +300,7 @@ def _lowering(train: list, options: TrainOptions):
     except (MemoryError, RuntimeError) as e:
         if not is_out_of_memory(e):
             raise
-        text = f"not enough memory: {_photographs(train)}; --reduce {2 * options.reduce} takes a quarter of that,"
+        text = f"not enough memory: {_photographs(train)}; --reduce {2 * options.reduce} needs a quarter of that,"
         raise BadInput(f"{text} and a smaller --cap limits the Gaussians") from e
 
 
@@ -323,14 +319,9 @@ class _Progress:
     def __init__(self, trainer, kept: Path | None, every: int, about: dict):
         self.trainer, self.curve, self.text = trainer, [], "the first step compiles"
         self._kept, self._every, self._about = kept, every, about
-        self._first, self._begin = trainer.done, time.perf_counter()
-        self._told, self._compiled = self._begin, self._begin
+        self._first = trainer.done
+        self.begin = self._told = self._compiled = time.perf_counter()
         self._interval = LINE_SECONDS if sys.stderr.isatty() else 10 * LINE_SECONDS
-
-    @property
-    def seconds(self) -> float:
-        """Time since the start [s]."""
-        return time.perf_counter() - self._begin
 
     def step(self) -> None:
         """One step of the trainer."""
@@ -340,17 +331,12 @@ class _Progress:
             self._compiled = time.perf_counter()
         if time.perf_counter() - self._told >= self._interval or trainer.done == steps:
             q, n = trainer.recent_loss(), trainer.population.count  # waits for the device
-            steps_since = trainer.done - self._first - 1
-            rate = steps_since / (time.perf_counter() - self._compiled)
             loss = 0.8 * q.l1 + 0.2 * (1.0 - q.ssim)
             self.curve.append({"step": trainer.done, "loss": loss, "psnr": q.psnr, "gaussians": n})
-            text = f"step {trainer.done}/{steps}  loss {loss:.4f}  PSNR {q.psnr:.2f} dB  {n} Gaussians"
-            left = (
-                f"{(steps - trainer.done) / rate:.0f} s left"
-                if steps_since
-                else "the first step includes compiling the kernels"
-            )
-            self.text = f"{text}  {rate:.1f} steps/s  {left}"
+            self.text = f"step {trainer.done}/{steps}  loss {loss:.4f}  PSNR {q.psnr:.2f} dB  {n} Gaussians"
+            rate = (trainer.done - self._first - 1) / (time.perf_counter() - self._compiled)
+            left = f"{(steps - trainer.done) / rate:.0f} s left" if rate else "the first step compiles the kernels"
+            self.text += f"  {rate:.1f} steps/s  {left}"
             _tell(self.text, end=trainer.done == steps)
             self._told = time.perf_counter()
         if self._kept is not None and trainer.done % self._every == 0 and trainer.done < steps:
@@ -420,21 +406,17 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
             pictures["objects of the Gaussians"] = colors[trainer.seen_objects(test[k].camera, objects[1])]
         sections.append(Section(f"Unseen view {k + 1}", f"PSNR {q.psnr:.2f} dB, SSIM {q.ssim:.3f}", pictures))
     rows = [(str(c["step"]), f"{c['loss']:.4f}", f"{c['psnr']:.2f}", str(c["gaussians"])) for c in numbers["curve"]]
-    rows = rows[:: max(1, len(rows) // 40)]
-    table = Table(("step", "loss", "PSNR [dB]", "Gaussians"), rows)
+    table = Table(("step", "loss", "PSNR [dB]", "Gaussians"), rows[:: max(1, len(rows) // 40)])
     sections.append(Section("Training", "Means over the photographs since the row before.", table=table))
     if "objects" in numbers:
-        rows = [
-            (name, str(n["gaussians"]), f"{n['iou']:.3f}" if "iou" in n else "-")
-            for name, n in numbers["objects"].items()
-        ]
+        found = numbers["objects"].items()
+        rows = [(name, str(n["gaussians"]), f"{n['iou']:.3f}" if "iou" in n else "-") for name, n in found]
         table = Table(("object", "Gaussians", "IoU"), rows)
         text = "Intersection over union of masks and what the Gaussians show, over all held-out photographs."
         sections.append(Section("Objects", text, table=table))
     text = f"{numbers['gaussians']} Gaussians from {numbers['views']} photographs. {said}"
-    page = html_page("Training", text, sections)
     with atomic_write(path.with_suffix(".html")) as beside:
-        beside.write_text(page, encoding="utf-8")
+        beside.write_text(html_page("Training", text, sections), encoding="utf-8")
 
 
 def _perceptual(numbers: dict, trainer, test: list) -> str:
@@ -444,7 +426,7 @@ def _perceptual(numbers: dict, trainer, test: list) -> str:
     if not test:
         return ""
     if min(min(p.mask.shape) for p in test) < SIDE_MIN:
-        return f"No LPIPS of photographs with sides below {SIDE_MIN} pixels."
+        return f"LPIPS is not measured where photographs have sides below {SIDE_MIN} pixels."
     distance, why_not = lpips_distance()
     if distance is None:
         return f"{why_not}."

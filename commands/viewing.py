@@ -164,7 +164,7 @@ class ViewOptions(cli.Options):
     EXAMPLES = ("view cat.ply", "view before.ply after.ply", "view room.ply --background white --out part.ply")
     CONDITIONS = (
         cli.Condition(("--frames",), lambda o: o.snapshot is None, "belongs to a window: --snapshot needs one"),
-        cli.Condition(("--out",), lambda o: o.snapshot is None, "is what a crop in the window is written to"),
+        cli.Condition(("--out",), lambda o: o.snapshot is None, "is where a crop made in the window is written"),
     )
 
     files: list[Path] = cli.argument("FILE", f"{cli.SPLATS} or .h5; several: Tab shows the next from the same view")
@@ -188,9 +188,9 @@ def view(options: ViewOptions) -> None:
     from display.window.gl_window import has_display
 
     if options.snapshot is not None and len(options.files) > 1:
-        raise BadInput("--snapshot draws one file: name one")
+        raise BadInput("--snapshot draws a single file")
     if options.snapshot is None and not has_display():
-        raise BadInput("no display to open a window on: --snapshot OUT.png writes a picture, `vrgs.py render` a film")
+        raise BadInput("no display to open a window on: use --snapshot OUT.png, or `vrgs.py render` for a film")
     if options.out is not None:
         kind_to_write(options.out)
         check_writable(options.out)

@@ -22,14 +22,7 @@ class BlendingWeights:
     dL/dC, the backward pass of blending sums the weights over the map.
     """
 
-    def __init__(
-        self,
-        gaussians: Gaussians,
-        cameras: Sequence[Camera] = (),
-        *,
-        sort: str = "",
-        capacity: int = 0,
-    ):
+    def __init__(self, gaussians: Gaussians, cameras: Sequence[Camera] = (), *, sort: str = "", capacity: int = 0):
         """Draw for some cameras, and others.
 
         cameras   whose pictures there is room for from the start, not for one size after the other

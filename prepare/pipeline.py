@@ -66,7 +66,7 @@ class Options:
     mesher    a name of component_cages.MESHERS; stuffing makes the cage where another fails
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     pieces    a cage for each connected component of the splat, all in one asset; False: the largest alone
-    metres    the splat is in metres, so that its size stays whatever it is; then `scale` is None
+    metres    the splat is in metres and keeps its size; then `scale` is None
     front     turn about the vertical [degrees] once it is upright; None: its front comes to +z if the guess is sure
     """
 
@@ -112,7 +112,6 @@ def prepare(
 ) -> Asset:
     """Make a splat simulatable: cage, embedding, distance grid, material. Taichi must be running.
 
-    progress     called with a step of STEPS and the fraction of it that is done
     look         called for each component with the solid its cage was made from
     say          told why a mesher was replaced
     checkpoints  results of finished steps of a run that was stopped
@@ -258,8 +257,8 @@ def fill_components(
 
 
 def fill(g: Gaussians, grid: Grid) -> dict[str, np.ndarray]:
-    """Cells (X, Y, Z) bool of a cluster: the dense `shell`, `solid`, the shell with what it encloses, both without the
-    `flap` that would carry it."""
+    """Cells (X, Y, Z) bool of a cluster: the dense `shell`, the `solid` that it encloses with it, both without a `flap`
+    that would carry it."""
     density = density_of(g, grid.origin, grid.spacing, grid.shape)
     solid = solid_cells(density)
     flap = flap_of(solid)
@@ -279,22 +278,16 @@ def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
 
     surface_points  centres of the opaque Gaussians that the cage should hold (N, 3) [m]
     """
-    volume = tet_volumes(cage.vertices, cage.tets)
-    figures = {
-        "vertices": len(cage.vertices),
-        "tets": len(cage.tets),
-        "min_dihedral": round(smallest_angle(cage.vertices, cage.tets), 2),
-        "inside": round(fraction_inside(cage.vertices, cage.tets, surface_points), 5),
-        "volume": float(volume.sum()),
-    }
+    volume, count = tet_volumes(cage.vertices, cage.tets), len(cage.vertices)
+    angle = round(smallest_angle(cage.vertices, cage.tets), 2)
+    inside = round(fraction_inside(cage.vertices, cage.tets, surface_points), 5)
     if not (volume > 0).all():
         raise NoSoundCage(f"the cage is not sound: {int((volume <= 0).sum())} tets have no positive volume")
-    if figures["min_dihedral"] < ANGLE_MIN:
-        raise NoSoundCage(f"the cage is not sound: its smallest dihedral angle is {figures['min_dihedral']} degrees")
-    if figures["inside"] < INSIDE_MIN:
-        raise NoSoundCage(
-            f"only {figures['inside']:.2%} of the opaque Gaussians are inside the cage of {wanted} vertices"
-        )
-    if abs(len(cage.vertices) - wanted) > VERTEX_TOLERANCE * wanted:
-        raise NoSoundCage(f"the cage has {len(cage.vertices)} vertices, {wanted} were asked for")
-    return figures
+    if angle < ANGLE_MIN:
+        raise NoSoundCage(f"the cage is not sound: its smallest dihedral angle is {angle} degrees")
+    if inside < INSIDE_MIN:
+        raise NoSoundCage(f"only {inside:.2%} of the opaque Gaussians are inside the cage of {wanted} vertices")
+    if abs(count - wanted) > VERTEX_TOLERANCE * wanted:
+        raise NoSoundCage(f"the cage has {count} vertices, {wanted} were asked for")
+    tets = len(cage.tets)
+    return {"vertices": count, "tets": tets, "min_dihedral": angle, "inside": inside, "volume": float(volume.sum())}

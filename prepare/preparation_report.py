@@ -22,11 +22,7 @@ from prepare.cage.level_set import (
     marching_cubes,
     surface_samples,
 )
-from prepare.cage.mesh_quality import (
-    dihedral_angles,
-    euler_characteristic,
-    non_manifold_vertices,
-)
+from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
 from prepare.report_pictures import (
     cage_picture,
     camera_for,

@@ -1,8 +1,7 @@
-"""Progress of a preparation: shown on the screen, and kept on the disk so that a stopped run can resume.
+"""Progress of a preparation: shown on the screen, and kept on disk so that a stopped run can resume.
 
-Results of finished steps stay in the cache folder until the asset is written. Only arrays of numbers are kept, nothing
-is unpickled. An entry that is damaged, or was made for another file, other options or another version of the
-pipeline, is ignored.
+Results of finished steps stay in the cache folder until the asset is written: arrays of numbers, nothing is unpickled.
+An entry that is damaged, or belongs to another file, other options or another version of the pipeline, is ignored.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ NOD = 0.003  # extents by which its own weight may displace any part; the photog
 
 def suitable_material(vertices: np.ndarray, tets: np.ndarray) -> tuple[Material, dict[str, float]]:
     """The default material, stiffened if a body of this cage [m] needs that to bear its own weight; and its Young's
-    modulus, as it was chosen and as it is needed, for the provenance."""
+    modulus, as chosen and as needed, for the provenance."""
     usual = MATERIALS[DEFAULT_MATERIAL]
     needed = bearing_modulus(vertices, tets, usual)
     material = stiffened(usual, rounded_up(needed) if needed > usual.young else 0.0)
@@ -137,15 +137,15 @@ def stiffened(material: Material, needed: float) -> Material:
 def steady(
     material: Material, vertices: np.ndarray, tets: np.ndarray, down: np.ndarray, held: np.ndarray | None
 ) -> Material:
-    """The material, stiffened if the weight of a body along `down` (3,) would move a part of it by more than NOD: else
-    it would not stay as it was photographed, even before anybody touches it. `held` vertices (V,); None: its foot."""
+    """The material, stiffened if the weight of a body along `down` (3,) would move a part of it by more than NOD: it
+    would not stay as it was photographed. `held`: vertices (V,) bool that are held fast; None: its foot."""
     moved = np.linalg.norm(bent_by_weight(vertices, tets, material, down, held), axis=1).max()
     return stiffened(material, material.young * float(moved / (NOD * np.ptp(vertices, axis=0).max())))
 
 
 def liftable(material: Material, volume: float) -> Material:
-    """The material of a body of this volume [m^3] that a hand can lift, as if it were hollow: lighter, and softer
-    in proportion, since it carries less weight."""
+    """The material of a body of this volume [m^3] that a hand can lift: lighter, as if it were hollow, and softer in
+    proportion, since it carries less weight."""
     share = min(1.0, MASS_MAX / (material.density * volume))
     young = max(material.young * share, min(material.young, MATERIALS[DEFAULT_MATERIAL].young))
     return replace(material, density=share * material.density, young=young)

@@ -20,13 +20,7 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.planes import LEVEL_COS
 from prepare.cleaning import MIN_GAUSSIANS, component_numbers, cut_out
-from prepare.environment.support_planes import (
-    SupportPlane,
-    drop_point,
-    standing_eye,
-    support_planes,
-    with_floor_under,
-)
+from prepare.environment.support_planes import SupportPlane, drop_point, standing_eye, support_planes, with_floor_under
 from prepare.environment.surfels import (
     Surfels,
     VoxelGrid,

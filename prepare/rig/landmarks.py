@@ -30,6 +30,7 @@ LIMBS = ("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle", "foot")  
 NAMES = ("head_top", "neck", *(f"{side}_{limb}" for side in ("left", "right") for limb in LIMBS))
 MAX_LANDMARK_DISTANCE = 3.0  # [body sizes] from the body, beyond which a landmark is a mistake
 MAX_FILE_SIZE = 1 << 20  # [bytes] of a landmarks file
+GIVE_THEM = "give its joints with --landmarks"
 Coordinates = Annotated[np.ndarray, Shape(3), Range(-1e6, 1e6)]  # [m]
 
 ANKLE, SHIN, KNEE, HIP, WAIST, CHEST, SHOULDER, NECK = 0.045, 0.1, 0.285, 0.53, 0.62, 0.72, 0.815, 0.855  # heights
@@ -140,7 +141,7 @@ def estimate(solid: Solid, given: dict) -> tuple[dict, dict]:
         """Centre of the thickest part at these heights, so that a held object beside it counts little."""
         near = (height >= low) & (height < high)
         if not near.any():
-            raise BadInput("this is not a standing person: nothing is there at some height; name the landmarks")
+            raise BadInput(f"this does not look like a standing person: it has gaps at some heights; {GIVE_THEM}")
         thick = near & (deep > 0.6 * deep[near].max())
         return np.average(x[thick], axis=0, weights=deep[thick])
 
@@ -192,7 +193,7 @@ def horizontal_distance(x: np.ndarray, point: np.ndarray) -> np.ndarray:
 def two_legs(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Centres of the two largest clusters of points (n, 3) of one level."""
     if len(x) < 2:
-        raise BadInput("this is not a standing person: no legs are there; name the landmarks")
+        raise BadInput(f"this does not look like a standing person: no legs were found; {GIVE_THEM}")
     cell = np.floor((x[:, [0, 2]] - x[:, [0, 2]].min(0)) / spacing + 0.5).astype(np.int64)
     grid = np.zeros(cell.max(0) + 1, bool)
     grid[tuple(cell.T)] = True

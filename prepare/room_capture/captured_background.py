@@ -25,14 +25,7 @@ from prepare.environment.environment_pipeline import (
     orient_surface,
     plane_row,
 )
-from prepare.environment.support_planes import (
-    CELL,
-    EYE_HEIGHT,
-    SupportPlane,
-    cell_centres,
-    drop_point,
-    support_planes,
-)
+from prepare.environment.support_planes import CELL, EYE_HEIGHT, SupportPlane, cell_centres, drop_point, support_planes
 from prepare.progress import Progress
 
 VIEWERS = 40  # cameras from which surfaces are oriented; more add nothing

@@ -18,15 +18,7 @@ from prepare.progress import Progress, no_progress
 from prepare.room_capture.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
 from prepare.room_capture.contributions import Contributions, contributions, depth_at, needed
-from prepare.room_capture.objects import (
-    Support,
-    object_body,
-    object_files,
-    placed_points,
-    seated,
-    support_of,
-    turn_of,
-)
+from prepare.room_capture.objects import Support, object_body, object_files, placed_points, seated, support_of, turn_of
 from prepare.train.capture import Capture
 
 OBJECT_SHARE = 0.002  # least share of an object in what the pictures show

@@ -74,6 +74,6 @@ def test_a_plush_stays_soft_and_a_slender_figure_is_stiffened():
     assert "stiffened from 1e+04 to" in described(found)
 
 
-@pytest.mark.parametrize("young, rounded", [(1e4, 1e4), (1.01e4, 2e4), (3e5, 5e5), (5.1e5, 1e6), (99.0, 100.0)])
-def test_moduli_are_round(young, rounded):
-    assert rounded_up(young) == pytest.approx(rounded)
+def test_moduli_are_round():
+    for young, rounded in ((1e4, 1e4), (1.01e4, 2e4), (3e5, 5e5), (5.1e5, 1e6), (99.0, 100.0)):
+        assert rounded_up(young) == pytest.approx(rounded)

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from prepare.pipeline import Options, prepare
-from prepare.preparation_report import examine, histogram, length, page_of, report_names, report_texts
+from prepare.preparation_report import examine, histogram, page_of, report_names, report_texts
 from prepare.report_pictures import HEIGHT, PAPER, WIDTH
 from tests.support.shells import ball
 
@@ -95,7 +95,3 @@ def test_both_texts_say_the_same(made):
     assert numbers["cage"]["cells"] == "adaptive" and "adaptive cells" in page
     assert f"{numbers['cage']['vertices']:,}" in page
     assert [p.name for p in report_names(Path("ball.h5"))] == ["ball.report.html", "ball.report.json"]
-
-
-def test_lengths_have_units_that_suit_them():
-    assert [length(x) for x in (2.0, 0.25, 0.00123)] == ["2 m", "25 cm", "1.23 mm"]

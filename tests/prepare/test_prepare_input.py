@@ -20,23 +20,12 @@ from tests.support.cage_cases import case
 from tests.support.sample_scenes import table_and_jug
 from tests.support.shells import ball
 
-COLUMNS = [
-    *"xyz",
-    "opacity",
-    *(f"{k}_{i}" for k in ("f_dc", "scale") for i in range(3)),
-    *map("rot_{}".format, range(4)),
-]
-EMPTY = b"ply\nformat binary_little_endian 1.0\nelement vertex 0\n" + b"".join(
-    b"property float %s\n" % name.encode() for name in COLUMNS
-)
-NAMES = ("transparent", "plane", "few", "mist")
-SPLATS = {
-    "transparent": BAD["all transparent"][0],
-    "plane": some(500, means=PLANE),
-    "few": some(12),
-    "mist": BAD["mist"][0],
-}
-SAID = {"transparent": "all 500 Gaussians are transparent", "plane": "plane or a line", "few": "12", "mist": "opaque"}
+COLUMNS = ["x", "y", "z", "opacity", *(f"{k}_{i}" for k in ("f_dc", "scale") for i in range(3))]
+COLUMNS += [f"rot_{k}" for k in range(4)]
+EMPTY = "\n".join([
+    "ply", "format binary_little_endian 1.0", "element vertex 0", *(f"property float {c}" for c in COLUMNS),
+    "end_header", "",
+]).encode()  # fmt: skip
 
 
 @pytest.fixture
@@ -63,16 +52,17 @@ def assert_refused(found, message: str) -> None:
     assert "Traceback" not in said.err and "wrote" not in said.out
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["all transparent", "a plane", "too few", "mist"])
 def test_a_splat_without_a_solid_body(prepared, tmp_path, name):
-    write_gaussians(tmp_path / f"{name}.ply", SPLATS[name])
-    assert_refused(prepared(f"{name}.ply"), SAID[name])
+    write_gaussians(tmp_path / "bad.ply", BAD[name][0])
+    assert_refused(prepared("bad.ply"), BAD[name][1])
 
 
-@pytest.mark.parametrize("content, message", [(EMPTY + b"end_header\n", "no Gaussians"), (b"", "is empty")])
-def test_an_empty_splat(prepared, tmp_path, content, message):
+@pytest.mark.parametrize("options", [(), ("--static",)])
+@pytest.mark.parametrize("content, message", [(EMPTY, "no Gaussians"), (b"", "is empty")])
+def test_an_empty_splat(prepared, tmp_path, content, message, options):
     (tmp_path / "empty.ply").write_bytes(content)
-    assert_refused(prepared("empty.ply"), message)
+    assert_refused(prepared("empty.ply", *options), message)
 
 
 @pytest.mark.parametrize("vertices", ["50000000", "49", "100001"])
@@ -84,8 +74,7 @@ def test_a_cage_of_fifty_million_vertices(prepared, tmp_path, vertices):
 @pytest.mark.parametrize("factor", [1e-9, 1e9])
 def test_a_splat_of_impossible_size(prepared, tmp_path, factor):
     body = ball(500)
-    body = replace(body, means=(body.means * factor).astype(np.float32))
-    write_gaussians(tmp_path / "ball.ply", body)
+    write_gaussians(tmp_path / "ball.ply", replace(body, means=(body.means * factor).astype(np.float32)))
     assert_refused(prepared("ball.ply"), "extent is")
 
 
@@ -145,9 +134,9 @@ def cells_of(g) -> float:
 
 
 SCENES = {
-    "transparent": (SPLATS["transparent"], (), "opaque"),
+    "transparent": (BAD["all transparent"][0], (), "opaque"),
     "plane": (some(500, means=PLANE[:, [0, 2, 1]]), ("--up", "+y"), "nothing stands above the floor"),
-    "few": (SPLATS["few"], (), "only 12 of 12"),
+    "few": (BAD["too few"][0], (), "only 12 of 12"),
     "table": (table_and_jug(), ("--scale", "6", "--cell", f"{cells_of(table_and_jug()):.4g}"), "cells, the limit is"),
 }
 
@@ -158,11 +147,6 @@ def test_a_scene_that_is_none(prepared, tmp_path, name):
     splats, options, message = SCENES[name]
     write_gaussians(tmp_path / f"{name}.ply", splats)
     assert_refused(prepared(f"{name}.ply", "--static", *options), message)
-
-
-def test_an_empty_scene(prepared, tmp_path):
-    (tmp_path / "empty.ply").write_bytes(EMPTY + b"end_header\n")
-    assert_refused(prepared("empty.ply", "--static"), "no Gaussians")
 
 
 def test_an_asset_is_not_left_behind_without_its_report(prepared, tmp_path, monkeypatch):

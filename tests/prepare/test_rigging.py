@@ -15,7 +15,7 @@ from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL
 from prepare.pipeline import Options
 from prepare.prepared_files import prepare_file
-from prepare.rig.landmarks import ARM, LEG, NAMES, TREE, Landmarks, match_joints, name_parts, read_landmarks
+from prepare.rig.landmarks import ARM, LEG, NAMES, Landmarks, match_joints, name_parts, read_landmarks
 from prepare.rig.retargeting import BONES, PARENTS, retarget
 from prepare.rig.rig_source import rig_source
 from prepare.rig.skin_weights import least_volumes
@@ -72,12 +72,7 @@ def test_joints_are_told_by_their_names_and_place():
     rig, _ = person()
     found = match_joints(rig, {})
     assert {n: BONES[k] for n, k in found.items()} == {n: n for n in found}
-    assert set(found) >= {
-        "pelvis",
-        "chest",
-        "head",
-        *(f"{s}_{n}" for s in ("left", "right") for n in (*ARM, *LEG)),
-    }
+    assert set(found) >= {"pelvis", "chest", "head", *(f"{s}_{n}" for s in ("left", "right") for n in (*ARM, *LEG))}
     assert name_parts("L_armUpper0001_bind_JNT") == ["l", "arm", "upper", "0001", "bind", "jnt"]
     with pytest.raises(BadInput, match="left shoulder"):
         match_joints(replace(rig, names=["x"] * len(rig.names)), {})
@@ -215,7 +210,3 @@ def test_what_belongs_together_is_said(tmp_path):
     with pytest.raises(BadInput, match="no such file"):
         rig_source(tmp_path / "a.ply", tmp_path / "none.glb", None)
     assert rig_source(tmp_path / "a.ply", None, None) is None
-
-
-def test_tree_is_ordered():
-    assert all(TREE[n] is None or BONES.index(TREE[n]) < k for k, n in enumerate(BONES))

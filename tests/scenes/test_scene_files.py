@@ -68,7 +68,7 @@ def test_a_saved_state_starts_no_scene_file_that_the_command_line_does_not_name(
 
     about = {"scene": scene_file, "interaction": "physics"}
     monkeypatch.setattr(state_file, "read_state", lambda path: SimpleNamespace(about=about))
-    with pytest.raises(BadInput, match="name it too"):
+    with pytest.raises(BadInput, match="name that too"):
         open_state(parse(["--state", "kept.h5"])[1])
     named = parse(["--state", "kept.h5", "--scene", scene_file])[1]
     assert open_state(named).about is about and named.scene == scene_file

@@ -68,7 +68,7 @@ def test_parameters_of_build_become_options(zoo, capsys):
         (["--scene", "zoo", "--lit", "maybe"], "--lit of the scene zoo is yes or no"),
         (["--scene", "ring_toss", "--animal", "fox"], "the scene ring_toss takes no --animal"),
         (["--scene", "ring_toss", "--capture", "photographs"], "takes no --capture; a room to play in is its --stage"),
-        (["--scene", "zoo", "--animl", "fox"], "there is no option --animl; --animal?"),
+        (["--scene", "zoo", "--animl", "fox"], "unknown option --animl; did you mean --animal?"),
     ],
 )
 def test_what_an_option_cannot_be_is_told_in_one_line(zoo, capsys, argv, says):
@@ -98,7 +98,7 @@ def test_an_option_named_like_one_of_the_program_is_told(tmp_path, monkeypatch, 
     monkeypatch.setattr(scenes, "__path__", [*scenes.__path__, str(tmp_path)])
     with pytest.raises(SystemExit):
         parse(["--help"])
-    assert "sized_scene: --size means something else already" in capsys.readouterr().err
+    assert "sized_scene: --size already has another meaning" in capsys.readouterr().err
 
 
 def test_a_recording_keeps_the_options_and_all_bodies(zoo, tmp_path, ti_cpu):

@@ -235,10 +235,14 @@ def open_display(
         options.snapshot = options.snapshot or Path(f"{name}.png")
         files = f"{options.record} and {options.snapshot}"
         print(f"no display: the scripted hand plays; writing {files} (--web: play in a browser)", file=sys.stderr)
+        check_writable(options.snapshot)
+    return open_headless(options, scene, replay, begin)
+
+
+def open_headless(options: PlayOptions, scene: Scene, replay: Replay | None, begin: float) -> Display:
+    """The display of a play without a screen: the scripted hand, or a recording, until its end or --frames."""
     from display.headless.headless import Headless
 
-    if options.snapshot:
-        check_writable(options.snapshot)
     frames = options.frames or max(1, round(FPS * ((scene.game.duration if scene.game else SECONDS) - begin)))
     frames = min(options.frames or len(replay), len(replay)) if replay else frames
     width, height = options.size or SIZE

@@ -1,4 +1,4 @@
-"""Assets of the user's bodies and rooms: as they are, or prepared from a splat file and kept in the cache."""
+"""Assets of --body and --stage: as they are, or prepared from a splat file and kept in the cache."""
 
 from __future__ import annotations
 

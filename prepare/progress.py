@@ -71,7 +71,7 @@ class Checkpoints:
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of an entry; None if there is none that can be read."""
+    """The arrays of an entry; None if it cannot be read."""
     if not os.path.isfile(path):  # Path.is_file may raise
         return None
     try:

@@ -237,7 +237,7 @@ def bodies(
     progress: Callable[[str, int, int], Progress],
     say: Callable[[str], None],
 ) -> tuple[list[tuple[Asset, RoomObject]], dict[str, str]]:
-    """A body for each object, and its place; and why there is none of other objects, by name."""
+    """A body for each object, with its place; and why the other objects have none, by name."""
     parts, _ = room.parts()
     found, lost, files = [], {}, object_files(room.names)
     for k, (name, part, support) in enumerate(zip(room.names, parts, held, strict=True)):

@@ -111,7 +111,7 @@ class Stages:
 
 
 def about_of(folder: Path) -> dict:
-    """Content of a stage's stage.json; {} if there is none that can be read."""
+    """Content of a stage's stage.json; {} if it cannot be read."""
     try:
         found = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

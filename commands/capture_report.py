@@ -114,6 +114,6 @@ def narrowed(camera: Camera) -> Camera:
 
 
 def drawn(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    """A picture (H, W, 3) uint8."""
+    """A picture (H, W, 3) uint8 on black."""
     (picture,) = draw_rgba8(gaussians, [camera])
     return picture[..., :3]

@@ -9,7 +9,7 @@ import hashlib
 import json
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -32,7 +32,7 @@ from core.typed import from_plain, to_plain
 from prepare.onnx_network import LamaNetwork
 from prepare.prepared_files import device_vertices
 from prepare.room_capture import room_pipeline
-from prepare.room_capture.contributions import Contributions
+from prepare.room_capture.contributions import Contributions, contributions
 from prepare.room_capture.objects import Support
 from prepare.room_capture.room_pipeline import MeasuredLength, PlacedRoom
 from prepare.room_capture.stages import Stages, file_key, source_digest
@@ -40,7 +40,7 @@ from prepare.segment.marks import Marks, marks_json, read_marks
 from prepare.segment.mask_files import read_masks
 from prepare.segment.mask_propagation import propagate_marks
 from prepare.segment.object_ids import learned_objects, masks_beside
-from prepare.train.capture import Capture, View
+from prepare.train.capture import Capture
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import image_size, load_photographs
 
@@ -152,8 +152,7 @@ class RoomMaking:
         """Poses, if there are none, and Gaussians."""
         o = self.options
         steps = o.steps or STEPS[running_arch()]
-        given = photographed(o, self.stages, self.say, self.check_length)
-        self.marks, self.masks = given.marks, given.masks
+        capture, self.marks, self.masks = photographed(o, self.stages, self.say, self.length)
 
         def make(folder: Path) -> None:
             training = train.TrainOptions(
@@ -168,28 +167,23 @@ class RoomMaking:
                 seed=o.seed,
                 arch=o.arch,
             )
-            train.train(training, given.capture)
+            train.train(training, capture)
             end_taichi()  # and with it the memory of the training
             start_taichi(o.arch, o.seed)
 
-        inputs = {"steps": steps, "reduce": o.reduce, "cap": o.cap, "seed": o.seed, **capture_key(given.capture)}
+        inputs = {"steps": steps, "reduce": o.reduce, "cap": o.cap, "seed": o.seed, **capture_key(capture)}
         if self.masks is not None:
             inputs["masks"] = [file_key(p) for p in sorted(self.masks.iterdir())]
         done = self.stages.run("train", inputs, make, source_digest("commands.train"))
-        self.turn, self.capture = rotation_between(given.capture.up, (0.0, 1.0, 0.0)), given.capture.upright()
+        self.turn, self.capture = rotation_between(capture.up, (0.0, 1.0, 0.0)), capture.upright()
         self.gaussians = read_gaussians(done / "trained.ply", self.say)
         self.training = json.loads((done / "trained.json").read_text(encoding="utf-8"))
-
-    def check_length(self, views: Sequence[View]) -> None:
-        """Raise BadInput for a point of --scale-points outside of its photograph."""
-        if self.length:
-            self.length.check({view.name: image_size(view.image) for view in views})
 
     def look(self) -> Contributions:
         """Contributions of the Gaussians to the photographs."""
 
         def make(folder: Path) -> None:
-            found = room_pipeline.seen_by_cameras(self.gaussians, self.capture, self.stages.progress)
+            found = contributions(self.gaussians, self.capture.cameras(), self.stages.progress)
             np.savez(folder / "seen.npz", weight=found.weight, depth=found.depth)
 
         done = self.stages.run("cameras", {}, make, self.source)
@@ -272,44 +266,39 @@ class RoomMaking:
         write_room(out, room_pipeline.manifest(room, [thing for _, thing in things]))
 
 
-@dataclass(frozen=True)
-class Photographed:
-    """Photographs with poses, and what is known of their objects: marks in some, or a folder of masks, or neither.
-
-    capture  in the frame of its files
-    """
-
-    capture: Capture
-    marks: Marks | None
-    masks: Path | None
-
-
 def photographed(
-    options: CaptureOptions, stages: Stages, say: Say, check: Callable[[list[View]], None]
-) -> Photographed:
-    """The capture that --capture names; `check` takes its photographs before poses are found. Raises BadInput."""
-    if is_posed(options.capture):
+    options: CaptureOptions, stages: Stages, say: Say, length: MeasuredLength | None
+) -> tuple[Capture, Marks | None, Path | None]:
+    """The capture with poses, in the frame of its files, and its objects as of `objects_of`. Raises BadInput.
+
+    What is wrong with the objects, or with a measured length, is said before poses are found.
+    """
+    posed, is_video = is_posed(options.capture), options.capture.is_file()
+    if posed:
         capture = read_capture(options.capture)
-        check(capture.views)
-        return Photographed(capture, *objects_of(options, capture, capture.folder / MARKS, say))
-    folder, views = photographs_of(options.capture, stages, say)
-    check(views)
-    place = (options.out if options.capture.is_file() else options.capture) / MARKS
-    marks, masks = objects_of(options, Capture(folder, views), place, say)
-    capture = with_poses(folder, views, stages, say, in_order=options.capture.is_file())
-    if marks is not None:
-        marks = marks_in(marks, [view.name for view in capture.views], say)
-    return Photographed(capture, marks, masks)
+        place = capture.folder / MARKS
+    else:
+        capture = Capture(*photographs_of(options.capture, stages, say))
+        place = (options.out if is_video else options.capture) / MARKS
+    sizes = {view.name: image_size(view.image) for view in capture.views}
+    if length:
+        length.check(sizes)
+    marks, masks = objects_of(options, capture, sizes, place, say)
+    if not posed:
+        capture = with_poses(capture.folder, capture.views, stages, say, in_order=is_video)
+        marks = marks and marks_in(marks, [view.name for view in capture.views], say)
+    return capture, marks, masks
 
 
-def objects_of(options: CaptureOptions, capture: Capture, place: Path, say: Say) -> tuple[Marks | None, Path | None]:
+def objects_of(
+    options: CaptureOptions, capture: Capture, sizes: dict[str, tuple[int, int]], place: Path, say: Say
+) -> tuple[Marks | None, Path | None]:
     """Marks of objects, or the folder of their masks, checked against the photographs; neither for --no-objects.
 
     Without any the user is asked, and `place` receives the marks. Raises BadInput.
     """
     if options.no_objects:
         return None, None
-    sizes = {view.name: image_size(view.image) for view in capture.views}
     marks = options.marks or (place if options.masks is None and place.is_file() else None)
     if marks is not None:
         return read_marks(marks, sizes), None

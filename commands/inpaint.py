@@ -122,7 +122,7 @@ def _cameras(options: InpaintOptions) -> tuple[list | None, list]:
             if image is None:
                 raise BadInput(f"{options.truth}: holds no picture {view.image.stem}")
             truths.append(load_photograph(replace(view, image=image, mask=None), options.reduce))
-    return [t.camera for t in truths] or [v.camera() for v in capture.views], truths
+    return [t.camera for t in truths] or capture.cameras(), truths
 
 
 def _parts(options: InpaintOptions) -> tuple[Gaussians, dict[str, Gaussians]]:

@@ -107,12 +107,9 @@ def cached_body(
     if vertices and not out.is_file():  # a state and a recording name the number that was chosen
         automatic = body_place(splats, how, chosen_vertices(splats, arch, seed))
         out = automatic if automatic.is_file() and wanted_vertices(automatic) == vertices else out
-    if out.is_file():
-        _ask_up(splats, out)
-    else:
+    if _is_to_be_made(splats, out, arch, seed):
         from prepare.prepared_files import prepare_file
 
-        _begin(splats, out, arch, seed)
         prepare_file(splats, out, pipeline_options(how, vertices or chosen[0]), vertices=chosen, progress=progress)
     if chosen:
         vertices = wanted_vertices(out)
@@ -174,25 +171,25 @@ def cached_environment(
     """The environment prepared from a splat file; made now unless it is in the cache. Raises BadInput."""
     file_size(splats)
     out = environment_place(splats)
-    if out.is_file():
-        _ask_up(splats, out)
-    else:
+    if _is_to_be_made(splats, out, arch, seed):
         from prepare.prepared_files import prepare_environment_file
 
-        _begin(splats, out, arch, seed)
         prepare_environment_file(splats, out, progress=progress)
     return out
 
 
-def _ask_up(splats: Path, prepared: Path) -> None:
-    """Say again of an earlier preparation that its up axis was not sure, unless the user has turned it since."""
-    with open_hdf5(prepared) as file:
+def _is_to_be_made(splats: Path, out: Path, arch: str | None, seed: int) -> bool:
+    """True if the asset `out` of a splat file is not in the cache; then Taichi is started.
+
+    Of one that is, a line says again that its up axis was not sure, unless it has been turned since.
+    """
+    if not out.is_file():
+        start_taichi(arch, seed)
+        print(f"preparing {splats.name} (once; kept as {out})", flush=True)
+        return True
+    with open_hdf5(out) as file:
         provenance = file.json("", "provenance", dict[str, Any])
     chances = {} if "reoriented" in provenance else provenance.get("up_probabilities", {})
     if line := question(chances):
         print(f"{splats.name}: {line}", flush=True)
-
-
-def _begin(splats: Path, out: Path, arch: str | None, seed: int) -> None:
-    start_taichi(arch, seed)
-    print(f"preparing {splats.name} (once; kept as {out})", flush=True)
+    return False

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from assets.animation import Pose, slerp, world_matrices
 from assets.formats.gltf import Rig
+from assets.orientation import turned_about_up
 from core.errors import BadInput
 from core.rotation import conjugate_quaternions, multiply_quaternions
 from prepare.rig.landmarks import ARM, LEG, SIDES, TREE, Landmarks, match_joints
@@ -178,19 +179,16 @@ def bone_rotations(joints: dict[str, int], world: np.ndarray, x: dict, body: dic
 
 def facing_rotation(x: dict, body: dict) -> np.ndarray:
     """Y: rotation (3, 3) about +y from the rig's mean facing direction to the body's."""
-    hips = (x["left_hip"] - x["right_hip"]).mean(0)
-    facing = np.cross(hips / np.linalg.norm(hips), UP)
+    facing = np.cross((x["left_hip"] - x["right_hip"]).mean(0), UP)
     target = np.cross(body["left_hip"] - body["right_hip"], UP)
-    angle = np.arctan2(target[0], target[2]) - np.arctan2(facing[0], facing[2])
-    return Rotation.from_rotvec(angle * UP).as_matrix()
+    return turned_about_up(np.arctan2(target[0], target[2]) - np.arctan2(facing[0], facing[2]))
 
 
 def leg_ratio(x: dict, body: dict) -> float:
     """Length of the body's left leg over that of the rig's."""
-    rig_leg = np.linalg.norm(x["left_knee"] - x["left_hip"], axis=1).mean()
-    rig_leg += np.linalg.norm(x["left_ankle"] - x["left_knee"], axis=1).mean()
-    leg = np.linalg.norm(body["left_knee"] - body["left_hip"]) + np.linalg.norm(body["left_ankle"] - body["left_knee"])
-    return leg / rig_leg
+    bones = (("left_hip", "left_knee"), ("left_knee", "left_ankle"))
+    rig_leg = sum(np.linalg.norm(x[b] - x[a], axis=1).mean() for a, b in bones)
+    return sum(np.linalg.norm(body[b] - body[a]) for a, b in bones) / rig_leg
 
 
 def continuous(q: np.ndarray) -> np.ndarray:

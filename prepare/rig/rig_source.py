@@ -51,19 +51,19 @@ class Samples:
         return np.einsum("nk,nkd->nd", self.weights, values[self.face])
 
 
-def sample_mesh(vertices: np.ndarray, faces: np.ndarray, count: int = GAUSSIANS) -> Samples:
-    """Points on triangles, in proportion to area. Raises BadInput if there is no area."""
+def sample_mesh(vertices: np.ndarray, faces: np.ndarray) -> Samples:
+    """Points on triangles, GAUSSIANS in number, in proportion to area. Raises BadInput if there is no area."""
     v = vertices[faces]
     area = 0.5 * np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
     total = area.sum()
     if not (np.isfinite(total) and total > 0):
         raise BadInput("the mesh has no area")
-    k = np.arange(count)
-    face = np.searchsorted(np.cumsum(area), (k + 0.5) / count * total).clip(0, len(faces) - 1)
+    k = np.arange(GAUSSIANS)
+    face = np.searchsorted(np.cumsum(area), (k + 0.5) / GAUSSIANS * total).clip(0, len(faces) - 1)
     a, b = ((0.5 + k * t) % 1.0 for t in R2)
     over = a + b > 1
     a, b = np.where(over, 1 - a, a), np.where(over, 1 - b, b)
-    return Samples(face, np.stack([1 - a - b, a, b], 1), float(np.sqrt(total / count)))
+    return Samples(face, np.stack([1 - a - b, a, b], 1), float(np.sqrt(total / GAUSSIANS)))
 
 
 def surface_gaussians(vertices: np.ndarray, mesh: SkinnedMesh, at: Samples) -> Gaussians:
@@ -243,6 +243,7 @@ def rig_source(path: Path, rig: str | Path | None, landmarks: str | Path | None)
 
 
 def _own_rig(path: Path) -> RigSource:
+    """The source of the motion of a skinned mesh."""
     rig, file = read_rig(path)
     mesh = read_mesh(file, len(rig.joints))
     place = scene_from_mesh(rig)

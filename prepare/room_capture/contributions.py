@@ -7,6 +7,7 @@ import numpy as np
 
 from assets.gaussians import Gaussians
 from core.camera import Camera
+from core.errors import BadInput
 from prepare.blending_weights import BlendingWeights
 from prepare.progress import Progress, no_progress
 
@@ -30,7 +31,8 @@ class Contributions:
 
 
 def contributions(gaussians: Gaussians, cameras: Sequence[Camera], progress: Progress = no_progress) -> Contributions:
-    """Blending weights of the Gaussians, summed over views. Taichi must be running."""
+    """Blending weights of the Gaussians, summed over views. Taichi must be running. Raises BadInput if no view shows
+    anything."""
     drawing, weight, depths = BlendingWeights(gaussians, sort="radial"), np.zeros(len(gaussians)), []
     for k, camera in enumerate(map(reduced, cameras)):
         weight += drawing.sums(camera, [np.ones((camera.height, camera.width))])[:, 0]
@@ -39,6 +41,8 @@ def contributions(gaussians: Gaussians, cameras: Sequence[Camera], progress: Pro
         depths.append(float(np.median(depth[opaque])) if opaque.any() else np.nan)
         progress("views", (k + 1) / len(cameras))
     drawing.destroy()
+    if not np.isfinite(depths).any():
+        raise BadInput("the photographs show nothing: the training has failed")
     return Contributions(weight, np.array(depths))
 
 

@@ -10,14 +10,13 @@ import numpy as np
 from assets.asset import Asset
 from assets.gaussians import Gaussians, concatenate
 from assets.room_folder import RoomManifest, RoomObject
-from core.camera import Camera
 from core.errors import BadInput
 from core.measured_length import length_of, scale_between
 from prepare.cleaning import MIN_GAUSSIANS
 from prepare.progress import Progress, no_progress
 from prepare.room_capture.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
-from prepare.room_capture.contributions import Contributions, contributions, depth_at, needed
+from prepare.room_capture.contributions import Contributions, depth_at, needed
 from prepare.room_capture.objects import Support, object_body, object_files, placed_points, seated, support_of, turn_of
 from prepare.train.capture import Capture
 
@@ -56,17 +55,12 @@ def object_name(gaussians: Gaussians, k: int) -> str:
     return gaussians.objects[k - 1] if k <= len(gaussians.objects) else f"object_{k}"
 
 
-def cameras_of(capture: Capture) -> list[Camera]:
-    """Cameras of all photographs."""
-    return [view.camera() for view in capture.views]
-
-
 def without_supports(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Gaussians:
     """The Gaussians, those of objects that lie in the surface that these stand on as parts of the background: masks
     took them along, and a body would carry them away."""
     from prepare.inpaint.inpaint_pipeline import in_support
 
-    ids, cameras = gaussians.object_id.copy(), cameras_of(capture)
+    ids, cameras = gaussians.object_id.copy(), capture.cameras()
     for k in np.unique(ids[ids > 0]):
         own, others = np.flatnonzero(ids == k), gaussians.select((ids != k) & (ids > 0))
         name = object_name(gaussians, k)
@@ -81,17 +75,9 @@ def without_supports(gaussians: Gaussians, capture: Capture, progress: Progress 
     return replace(gaussians, object_id=ids)
 
 
-def seen_by_cameras(gaussians: Gaussians, capture: Capture, progress: Progress) -> Contributions:
-    """Contribution of each Gaussian to the photographs. Raises BadInput if they show nothing."""
-    found = contributions(gaussians, cameras_of(capture), progress)
-    if not np.isfinite(found.depth).any():
-        raise BadInput("the photographs show nothing: the training has failed")
-    return found
-
-
 def placed_room(gaussians: Gaussians, capture: Capture, found: Contributions, scale: float | None) -> PlacedRoom:
     """The room in metres, pruned; `scale`: measured metres per unit of the capture, None: guessed."""
-    cameras = cameras_of(capture)
+    cameras = capture.cameras()
     keep = needed(gaussians, cameras, found)
     gaussians, weight = gaussians.select(keep), found.weight[keep]
     o = capture_orientation(capture, gaussians, scale)

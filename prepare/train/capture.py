@@ -161,6 +161,10 @@ class Capture:
     points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     colors: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
 
+    def cameras(self) -> list[Camera]:
+        """The camera of each view."""
+        return [view.camera() for view in self.views]
+
     @property
     def middle(self) -> np.ndarray:
         """Mean of the cameras' centres, (3,)."""

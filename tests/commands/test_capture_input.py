@@ -67,7 +67,8 @@ def run(tmp_path, monkeypatch):
     def go(path, **options):
         wanted = CaptureOptions(capture=path, out=tmp_path / "room", **options)
         stages = Stages(tmp_path / "room" / "work", (*stages_before(path), "train"))
-        return photographed(wanted, stages, done.append, lambda views: None)
+        capture, marks, masks = photographed(wanted, stages, done.append, None)
+        return SimpleNamespace(capture=capture, marks=marks, masks=masks)
 
     return SimpleNamespace(of=go, done=done)
 

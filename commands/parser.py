@@ -244,6 +244,6 @@ def no_command(word: str) -> str:
     if Path(word).suffix:
         return f"{word} is no command; to see it: vrgs.py view {word}; to play: vrgs.py --scene sandbox --body {word}"
     if word == "build":
-        return "build: the models of the shipped assets are built from source, by python -m studio"
+        return "build: the models of the shipped assets are built by python -m studio, from source"
     near = difflib.get_close_matches(word, COMMANDS, 1)
     return f"unknown command {word}; " + (f"did you mean {near[0]}?" if near else "see vrgs.py --help")

@@ -74,35 +74,9 @@ class OneOf:
     required: bool = False
 
 
-@dataclass(frozen=True)
-class Declaration:
-    """An option's form on the command line, and its help.
-
-    flag    where it is not the field's name
-    bare    value of the option without a value, where it may have none
-    repeat  it may be given several times, each with a value of a list
-    """
-
-    metavar: str | tuple[str, ...] | None
-    help: str
-    positional: bool = False
-    flag: str | None = None
-    one_of: OneOf | None = None
-    bare: int | str | None = None
-    repeat: bool = False
-
-
-def declared(default: Any, declaration: Declaration) -> Any:
-    """A field of a command's dataclass."""
-    about = {"declaration": declaration}
-    if isinstance(default, list):
-        return field(default_factory=default.copy, metadata=about)
-    return field(default=default, metadata=about)
-
-
 def argument(metavar: str | None, help: str, default: Any = REQUIRED) -> Any:
     """A value that is written without a flag."""
-    return declared(default, Declaration(metavar, help, positional=True))
+    return option(metavar, help, default, positional=True)
 
 
 def option(
@@ -110,18 +84,28 @@ def option(
     help: str,
     default: Any = None,
     *,
+    positional: bool = False,
     flag: str | None = None,
     one_of: OneOf | None = None,
     bare: int | str | None = None,
     repeat: bool = False,
 ) -> Any:
-    """An option with a value; without a metavar its help names the choices."""
-    return declared(default, Declaration(metavar, help, flag=flag, one_of=one_of, bare=bare, repeat=repeat))
+    """An option with a value, as a field of a command's dataclass; without a metavar its help names the choices.
+
+    flag    where it is not the field's name
+    bare    value of the option without a value, where it may have none
+    repeat  it may be given several times, each with a value of a list
+    """
+    form = {"metavar": metavar, "help": help, "positional": positional, "flag": flag, "one_of": one_of}
+    form |= {"bare": bare, "repeat": repeat}
+    if isinstance(default, list):
+        return field(default_factory=default.copy, metadata=form)
+    return field(default=default, metadata=form)
 
 
 def switch(help: str, *, one_of: OneOf | None = None) -> Any:
     """An option without a value: False unless it is given."""
-    return declared(False, Declaration(None, help, one_of=one_of))
+    return option(None, help, False, one_of=one_of)
 
 
 def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
@@ -129,37 +113,37 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
     hints, groups = get_type_hints(kind, include_extras=True), {}
     order = [name for part in kind.__mro__ for name in vars(part).get("__annotations__", ())]
     for f in sorted(fields(kind), key=lambda f: order.index(f.name)):  # a command's own before those that it shares
-        said: Declaration | None = f.metadata.get("declaration")
-        if said is None:
+        if not f.metadata:
             continue
-        form = {"help": said.help, "default": argparse.SUPPRESS, **value_form(hints[f.name], said, f)}
-        if said.positional:
+        form = {"help": f.metadata["help"], "default": argparse.SUPPRESS, **value_form(hints[f.name], f)}
+        if f.metadata["positional"]:
             parser.add_argument(f.name, **form)
             continue
-        if said.one_of is not None and said.one_of not in groups:
-            groups[said.one_of] = parser.add_mutually_exclusive_group(required=said.one_of.required)
+        one_of: OneOf | None = f.metadata["one_of"]
+        if one_of is not None and one_of not in groups:
+            groups[one_of] = parser.add_mutually_exclusive_group(required=one_of.required)
         needed = f.default is MISSING and f.default_factory is MISSING
-        flag = said.flag or f"--{f.name.replace('_', '-')}"
-        groups.get(said.one_of, parser).add_argument(flag, dest=f.name, required=needed, **form)
+        flag = f.metadata["flag"] or f"--{f.name.replace('_', '-')}"
+        groups.get(one_of, parser).add_argument(flag, dest=f.name, required=needed, **form)
 
 
-def value_form(hint: Any, said: Declaration, f: Field) -> dict[str, Any]:
+def value_form(hint: Any, f: Field) -> dict[str, Any]:
     """Arguments of `add_argument` that say which values a field of a type takes."""
     if hint is bool:
         return {"action": "store_true"}
-    form: dict[str, Any] = {"metavar": said.metavar}
+    form: dict[str, Any] = {"metavar": f.metadata["metavar"]}
     if get_origin(hint) in (Union, UnionType):
         (hint,) = (part for part in get_args(hint) if part is not NoneType)
     if get_origin(hint) is list:
         (hint,) = get_args(hint)
-        if said.repeat:
+        if f.metadata["repeat"]:
             form["action"] = "append"
         else:
-            form["nargs"] = "*" if said.positional and f.default_factory is not MISSING else "+"
+            form["nargs"] = "*" if f.metadata["positional"] and f.default_factory is not MISSING else "+"
     elif get_origin(hint) is tuple:
         form["nargs"], hint = len(get_args(hint)), get_args(hint)[0]
-    if said.bare is not None:
-        form |= {"nargs": "?", "const": said.bare}
+    if f.metadata["bare"] is not None:
+        form |= {"nargs": "?", "const": f.metadata["bare"]}
     if get_origin(hint) is Annotated:
         form["type"] = get_args(hint)[1]
     elif get_origin(hint) is Literal:

@@ -77,23 +77,21 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
     Raises BadInput where no solid object is left: too few, all transparent, all on a plane, in a point.
     """
     n, g = len(gaussians), visible(gaussians)
-    low, high = solid_box(g)
-    small = np.exp(g.log_scales.astype(np.float64)).max(1) <= SIGMA_MAX * (high - low).max()
-    g_small = g.select(small)
-    number = component_numbers(g_small.means.astype(np.float64), low, high)
-    g_kept = g_small.select(number == 0)
-    counts = {
-        "read": n,
-        "transparent": n - len(g),
-        "huge": len(g) - len(g_small),
-        "apart": len(g_small) - len(g_kept),
-        "kept": len(g_kept),
-    }
-    if len(g_kept) < MIN_GAUSSIANS:
-        raise BadInput(f"only {len(g_kept)} of {n} Gaussians belong to a solid object; {MIN_GAUSSIANS} are needed")
-    if is_flat(g_kept.means):
+    small, number = parts_of(g)
+    kept = g.select(small[number == 0])
+    if len(kept) < MIN_GAUSSIANS:
+        raise BadInput(f"only {len(kept)} of {n} Gaussians belong to a solid object; {MIN_GAUSSIANS} are needed")
+    if is_flat(kept.means):
         raise BadInput("all Gaussians lie on a plane or a line; there is nothing to fill")
-    return g_kept, counts
+    huge, apart = len(g) - len(small), len(small) - len(kept)
+    return kept, {"read": n, "transparent": n - len(g), "huge": huge, "apart": apart, "kept": len(kept)}
+
+
+def parts_of(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (M,) of the Gaussians that are no smears, and the component of each, as of `component_numbers`."""
+    low, high = solid_box(g)
+    small = np.flatnonzero(np.exp(g.log_scales.astype(np.float64)).max(1) <= SIGMA_MAX * (high - low).max())
+    return small, component_numbers(g.means[small].astype(np.float64), low, high)
 
 
 def clean_components(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray, dict[str, int]]:
@@ -104,18 +102,16 @@ def clean_components(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray, dict[
     """
     n, g = len(gaussians), visible(gaussians)
     solid_box(g)
-    widest = np.exp(g.log_scales.astype(np.float64)).max(1)
     left, found, huge, specks = [np.arange(len(g))], [], 0, 0
     while left:
         own = left.pop()
         try:
-            low, high = solid_box(g.select(own))
+            small, number = parts_of(g.select(own))
         except BadInput:
             specks += 1
             continue
-        small = own[widest[own] <= SIGMA_MAX * (high - low).max()]
+        small = own[small]
         huge += len(own) - len(small)
-        number = component_numbers(g.means[small].astype(np.float64), low, high)
         sizes = np.bincount(number[number >= 0], minlength=1)
         large = np.flatnonzero(sizes >= max(MIN_GAUSSIANS, MIN_FRACTION * sizes[0]))
         specks += int((sizes >= MIN_GAUSSIANS).sum()) - len(large)

@@ -165,9 +165,9 @@ SHIFT = 4  # fractional bits of a pixel: OpenCV's fixed point
 class Canvas:
     """Picture seen by `camera`; each call draws over the last, far to near."""
 
-    def __init__(self, camera: Camera, background=PAPER) -> None:
+    def __init__(self, camera: Camera) -> None:
         self.camera = camera
-        self.page = np.full((SUPERSAMPLING * camera.height, SUPERSAMPLING * camera.width, 3), background, np.uint8)
+        self.page = np.full((SUPERSAMPLING * camera.height, SUPERSAMPLING * camera.width, 3), PAPER, np.uint8)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions [px of the supersampled page] (N, 2) and depths [m] (N,) of points (N, 3) [m]."""
@@ -198,7 +198,7 @@ class Canvas:
             cv2.fillConvexPoly(self.page, fixed[f], paint, cv2.LINE_8, SHIFT)
             cv2.polylines(self.page, [fixed[f]], True, paint if lines is None else lines, 1, cv2.LINE_AA, SHIFT)
 
-    def dots(self, points: np.ndarray, colours: np.ndarray, radius: float = 1.5) -> None:
+    def dots(self, points: np.ndarray, colours: np.ndarray, radius: float) -> None:
         """Draw discs of `radius` [px] at points (N, 3) [m], colours (N, 3)."""
         place, depth = self.project(points)
         fixed = np.round(place * (1 << SHIFT)).clip(-(1 << 24), 1 << 24).astype(np.int64)

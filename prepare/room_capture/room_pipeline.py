@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -226,19 +227,10 @@ def bodies(
     """A body for each object, with its place; and why the other objects have none, by name."""
     parts, _ = room.parts()
     found, lost, files = [], {}, object_files(room.names)
+    make = partial(object_body, vertices=vertices, material=material, say=say)
     for k, (name, part, support) in enumerate(zip(room.names, parts, held, strict=True)):
         try:
-            made = object_body(
-                name,
-                files[k],
-                part,
-                support,
-                vertices=vertices,
-                material=material,
-                progress=progress(name, k, len(parts)),
-                say=say,
-            )
-            found.append(made)
+            found.append(make(name, files[k], part, support, progress=progress(name, k, len(parts))))
         except BadInput as e:
             lost[name] = str(e)
     return found, lost

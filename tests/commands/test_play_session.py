@@ -143,11 +143,8 @@ def test_a_body_joins_and_a_large_one_in_a_larger_world_of_the_same_state(sessio
     play = session([AddBody("/there/cat.h5"), AddBody("dog.h5")], [], [AddBody("large")], [], [])
     first, *_, last = worlds_of(play)
     assert first.added == [("/there/cat.h5", "cat"), ("dog.h5", "dog")]
-    assert (
-        last.reserve == ("/there/cat.h5", "dog.h5", "large")
-        and last.added == [("large", "large")]
-        and last.adopted == "state of one"
-    )
+    assert last.reserve == ("/there/cat.h5", "dog.h5", "large") and last.added == [("large", "large")]
+    assert last.adopted == "state of one"
 
 
 def test_a_length_sets_the_size_of_the_body_that_has_both_points(session, monkeypatch):

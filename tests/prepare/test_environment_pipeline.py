@@ -251,8 +251,7 @@ def test_the_planes_nearby_are_summed_as_in_float64(ti_cpu):
 def test_a_ball_gets_its_distance(ti_cpu):
     """Gaussians on a sphere of 0.5 m: within a tenth of a voxel on both sides of it, and the right sign everywhere."""
     g = ball(4000, radius=0.5, open_below=-2.0)
-    low, h = np.array([-1.0, -1.0, -1.0]), 0.05
-    shape = (41, 41, 41)
+    low, h, shape = np.array([-1.0, -1.0, -1.0]), 0.05, (41, 41, 41)
     centre = g.means.astype(float).mean(0)
     s = surfels(g, low + centre, h, shape)
     s = replace(s, normals=s.normals * np.sign((s.normals * (s.points - centre)).sum(1))[:, None])

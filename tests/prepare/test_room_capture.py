@@ -56,13 +56,15 @@ def test_what_stands_what_hangs_and_what_nothing_holds():
         support_of(ball((0.0, 1.0, 0.0)), plane(1, 0.0))
 
 
-def test_an_object_of_too_few_gaussians_or_in_the_air_stays_in_the_background():
-    def room_of(*things: Gaussians) -> PlacedRoom:
-        rest = plane(1, 0.0)
-        ids = np.repeat(np.arange(1 + len(things)), [len(rest), *map(len, things)]).astype(np.uint16)
-        g = replace(concatenate([rest, *things]), object_id=ids, objects=("dot", "ball", "unseen")[: len(things)])
-        return PlacedRoom(g, np.ones(len(g)), RoomView(ring_of_cameras(1.4), np.full(12, 1.8), True), None)
+def room_of(*things: Gaussians) -> PlacedRoom:
+    """A floor with things on it."""
+    rest = plane(1, 0.0)
+    ids = np.repeat(np.arange(1 + len(things)), [len(rest), *map(len, things)]).astype(np.uint16)
+    g = replace(concatenate([rest, *things]), object_id=ids, objects=("dot", "ball", "unseen")[: len(things)])
+    return PlacedRoom(g, np.ones(len(g)), RoomView(ring_of_cameras(1.4), np.full(12, 1.8), True), None)
 
+
+def test_an_object_of_too_few_gaussians_or_in_the_air_stays_in_the_background():
     dot, large, nothing = ball((0.5, 0.15, 0.0)).select(slice(5)), ball((0.0, 0.15, 0.0)), discs(np.zeros((0, 3)))
     said = []
     room, held = held_objects(room_of(dot, large, nothing), said.append)
@@ -79,21 +81,18 @@ def test_an_object_of_too_few_gaussians_or_in_the_air_stays_in_the_background():
 
 
 def test_what_an_object_hid_stays_open_where_no_surface_goes_on_behind_it(monkeypatch):
-    """The ball is on a thing of which no plane was found; the parcel's hole is closed all the same."""
+    """The dot is on a thing of which no plane was found; the ball's hole is closed all the same."""
 
     def inpaint(rest, thing, cameras, *, name, **options):
-        if name == "ball":
+        if name == "dot":
             raise NoSurface(f"{name}: no surface was found")
-        return concatenate([rest, ball((0.0, 0.0, 0.0))])
+        return concatenate([rest, thing])
 
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.inpaint", inpaint)
-    rest, things = plane(1, 0.0), [ball((x, 0.15, 0.0)) for x in (0.0, 0.6)]
-    ids = np.repeat(np.arange(3), [len(rest), *map(len, things)]).astype(np.uint16)
-    g = replace(concatenate([rest, *things]), object_id=ids, objects=("ball", "parcel"))
-    room = PlacedRoom(g, np.ones(len(g)), RoomView(ring_of_cameras(1.4), np.full(12, 1.8), True), None)
-    said = []
-    assert len(inpainted(room, lambda *part: no_progress, said.append)) == len(rest) + len(things[0])
-    assert said == ["what it hid stays open: ball: no surface was found"]
+    things, said = [ball((x, 0.15, 0.0)) for x in (0.0, 0.6)], []
+    rest = inpainted(room_of(*things), lambda *part: no_progress, said.append)
+    assert len(rest) == len(plane(1, 0.0)) + len(things[1])
+    assert said == ["what it hid stays open: dot: no surface was found"]
 
 
 def test_what_no_photograph_needs_is_left_out(ti_cpu):

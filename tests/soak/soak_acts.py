@@ -39,18 +39,14 @@ def generator(seed: int, episode: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, episode]))
 
 
-def meshes() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Vertices, tets and surfaces of four meshes of 27 to 72 vertices, largest extent 1 m, centred."""
-    found = [
-        box((1.0, 1.0, 1.0), (2, 2, 2)),
-        box((1.0, 0.25, 0.25), (6, 1, 1)),
-        box((1.0, 0.3, 1.0), (3, 1, 3)),
-        torus(0.4, 0.1, around=18, across=1),
-    ]
-    return [((x - (x.min(0) + x.max(0)) / 2) / np.ptp(x, axis=0).max(), tets, faces) for x, tets, faces in found]
-
-
-MESHES = meshes()
+SHAPES = [
+    box((1.0, 1.0, 1.0), (2, 2, 2)),
+    box((1.0, 0.25, 0.25), (6, 1, 1)),
+    box((1.0, 0.3, 1.0), (3, 1, 3)),
+    torus(0.4, 0.1, around=18, across=1),
+]
+# Vertices, tets and surfaces of 27 to 72 vertices, largest extent 1 m, centred
+MESHES = [((x - (x.min(0) + x.max(0)) / 2) / np.ptp(x, axis=0).max(), tets, faces) for x, tets, faces in SHAPES]
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -95,10 +91,8 @@ def distances(mesh: int) -> DistanceGrid:
 def population(rng: np.random.Generator, ranges: Ranges) -> list[SoftBody]:
     """Bodies in layers above the floor, without overlaps."""
     count = round(log_uniform(rng, 0.6, ranges.max_bodies + 0.4))
-    pitch, row = (
-        1.8 * BODY_SIZES[1],
-        int(2 * ARENA / (1.8 * BODY_SIZES[1])) - 1,
-    )  # a body may lie along its space diagonal
+    pitch = 1.8 * BODY_SIZES[1]  # a body may lie along its space diagonal
+    row = int(2 * ARENA / pitch) - 1
     cells = [(i, j, k) for j in range(3) for i in range(row) for k in range(row)]
     layer = row * row
     chosen = np.concatenate([rng.permutation(layer) + n * layer for n in range(3)])[: max(count, 1)]

@@ -67,7 +67,9 @@ class CaptureOptions(cli.Options):
     capture: Path = cli.argument("CAPTURE", f"{cli.CAPTURES}, folder of photographs, or a video")
     out: Path = cli.option("ROOM/", "folder of the room; an interrupted run resumes there", cli.REQUIRED)
     marks: Path | None = cli.option(
-        "MARKS.json", "marks of objects (default: CAPTURE/marks.json, else /masks, else a window opens)", one_of=OBJECTS
+        "MARKS.json",
+        "marks of objects (default: CAPTURE/marks.json, else CAPTURE/masks, else a window opens)",
+        one_of=OBJECTS,
     )
     masks: Path | None = cli.option("FOLDER", "folder of masks, one colour per object", one_of=OBJECTS)
     no_objects: bool = cli.switch("make only the room, with nothing to grab", one_of=OBJECTS)
@@ -76,7 +78,7 @@ class CaptureOptions(cli.Options):
         "two points, each PHOTOGRAPH:x,y [px] or x,y,z in the capture, and their distance, as 0.46 or 46cm (default: "
         "guessed scale)",
     )
-    steps: cli.Count | None = cli.option("N", f"steps of the training (default {cli.by_device(STEPS)})")
+    steps: cli.Count | None = cli.option("N", f"training steps (default {cli.by_device(STEPS)})")
     reduce: cli.Count = cli.reduce_option("the photographs")
     cap: cli.Count | None = cli.option("N", f"upper limit of Gaussians (default {cli.by_device(train.CAPS)})")
     vertices: cli.Count | None = cli.option("N", "vertices of each object's cage (default: as suits the device)")

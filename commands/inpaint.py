@@ -53,7 +53,7 @@ class InpaintOptions(cli.Options):
     steps: cli.Count | None = cli.option("N", "training steps of the new Gaussians (default 200)")
     report: Path | None = cli.option("R.json", "write the results as JSON, as a page, and as a picture (before, after)")
     truth: Path | None = cli.option("FOLDER", "--report: photographs without the object, named as in the capture")
-    reduce: cli.Count = cli.reduce_option("the truth")
+    reduce: cli.Count = cli.reduce_option("the photographs of --truth")
     arch: cli.Arch | None = cli.arch_option()
 
 

@@ -247,7 +247,7 @@ def seed_option() -> Any:
 
 def sort_option(mode: str) -> Any:
     """--sort; `mode`: the default for splats that do not know theirs."""
-    text = "blending order: by depth, by distance, or by distance along each pixel's ray (default: as they were trained"
+    text = "blending order: by depth, by distance, or by distance along each pixel's ray (default: as trained"
     return option(None, f"{text}, z for files from elsewhere; else {mode})")
 
 

@@ -56,10 +56,10 @@ class DisplayOptions(cli.Options):
     web: cli.Port | None = cli.option(
         "PORT", "play in a browser; prints the address (default port: 8090, or the next free one)", one_of=WHERE, bare=0
     )
-    host: str | None = cli.option("ADDRESS", "--web: address to listen on (default 127.0.0.1: this machine alone)")
+    host: str | None = cli.option("ADDRESS", "--web: address to listen on (default 127.0.0.1: this machine only)")
     sort: cli.Sort | None = cli.sort_option("radial")
-    size: cli.Size | None = cli.option("WxH", "picture size (default 960x540, of a window: the last one's)")
-    render_scale: cli.RenderScale = cli.option("S", "--xr: factor of the headset's recommended width and height", 1.0)
+    size: cli.Size | None = cli.option("WxH", "picture size (default 960x540; a window: its last size)")
+    render_scale: cli.RenderScale = cli.option("S", "--xr: scale of the headset's recommended width and height", 1.0)
     stereo: bool = cli.switch("headless: draw two eyes, 63 mm apart")
     record: Path | None = cli.option("OUT.mp4", "write a film")
     snapshot: cli.PictureName | None = cli.option("OUT.png", "write the last frame: .png, .jpg or .webp")

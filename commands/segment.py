@@ -33,7 +33,7 @@ class SegmentOptions(cli.Options):
         "segment toys/ --marks marks.json --splats toys.ply --out toys/masks",
         "segment bear/ --marks marks.json --out masks/ --overlay masks.html    by the capture's sparse points",
         "segment toys/ --marks marks.json --splats toys.ply --out m/ --model sam_like.onnx",
-        "segment room.ply --out parts/    mark in a window; a splat an object, and the rest",
+        "segment room.ply --out parts/    mark in a window; one splat per object, and the rest",
         "segment room.ply --marks marks.json --out parts/",
     )
     CONDITIONS = (
@@ -54,7 +54,7 @@ class SegmentOptions(cli.Options):
         "and they are saved in CAPTURE/marks.json, or for a splat in FOLDER/marks.json",
     )
     out: Path = cli.option(
-        "FOLDER", "a mask for each photograph; or a splat per object, background.ply, scene.ply with ids", cli.REQUIRED
+        "FOLDER", "a mask per photograph; or a splat per object, background.ply, and scene.ply with ids", cli.REQUIRED
     )
     splats: Path | None = cli.option("SPLATS", "splat trained on the capture: its depth carries the marks to all views")
     model: Path | None = cli.option("FILE.onnx", "network that refines borders, in place of GrabCut (docs/your_own.md)")

@@ -59,7 +59,7 @@ class TrainOptions(cli.Options):
     capture: Path = cli.argument("CAPTURE", f"{cli.CAPTURES}, folder of photographs, or a video")
     out: Path = cli.option("OUT", "OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply", cli.REQUIRED)
     steps: cli.Count | None = cli.option(
-        "N", f"steps, one photograph each (default {cli.by_device(STEPS)}; a third with --fast)"
+        "N", f"training steps, one photograph each (default {cli.by_device(STEPS)}; a third with --fast)"
     )
     fast: bool = cli.switch("about the same quality in a third of the time: fewer steps, starting on small pictures")
     strategy: Literal["default", "mcmc"] = cli.option(

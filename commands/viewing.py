@@ -169,11 +169,11 @@ class ViewOptions(cli.Options):
 
     files: list[Path] = cli.argument("FILE", f"{cli.SPLATS} or .h5; several: Tab shows the next from the same view")
     up: cli.Axis | None = cli.option(None, "the files' up axis (default: guessed)")
-    size: cli.Size | None = cli.option("WxH", "picture size (default 960x540, of a window: the last one's)")
+    size: cli.Size | None = cli.option("WxH", "picture size (default 960x540; a window: its last size)")
     background: cli.Colour = cli.option("COLOUR", "grey, black, white, or as #rrggbb (default grey)", cli.GREY)
     snapshot: cli.PictureName | None = cli.option("OUT.png", "no window: write one picture")
     out: Path | None = cli.option(
-        "OUT.ply", "what a crop leaves (O): .ply, .compressed.ply, .spz, .splat (default: new)"
+        "OUT.ply", "where O writes a crop: .ply, .compressed.ply, .spz or .splat (default: a new name)"
     )
     sort: cli.Sort | None = cli.sort_option("radial")
     frames: cli.Count | None = cli.option("N", "stop after N frames")

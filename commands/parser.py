@@ -24,36 +24,18 @@ COMMANDS = {  # module and function, which takes the command's options as their 
     "view": ("commands.viewing:view", "look at splat files in a window"),
     "render": ("commands.viewing:render", "draw a splat file, or film a turn around it"),
     "train": ("commands.train:train", "train Gaussians on photographs or a video"),
-    "capture": (
-        "commands.capture_room:capture",
-        "turn photographs into a room to play in, with objects to grab; what they hid is filled in",
-    ),
+    "capture": ("commands.capture_room:capture", "turn photographs into a room to play in, with objects to grab"),
     "prepare": ("commands.prepare:prepare", "make an elastic body of a splat, or a room to play in"),
-    "segment": (
-        "commands.segment:segment",
-        "find marked objects in all photographs of a capture, or take them out of a splat",
-    ),
+    "segment": ("commands.segment:segment", "find marked objects in all photographs, or take them out of a splat"),
     "inpaint": ("commands.inpaint:inpaint", "remove an object from a splat and fill the hole that it leaves"),
     "convert": ("commands.export:convert", "convert between splat formats"),
-    "export": (
-        "commands.export:export",
-        "write a scene as it is played: splats, cages or surfaces, of one frame or a sequence",
-    ),
+    "export": ("commands.export:export", "write a played scene: splats, cages or surfaces, one frame or a sequence"),
     "bench": ("commands.measuring:bench", "measure speed and quality"),
-    "figures": (
-        "commands.measuring:figures",
-        "make the paper's figures and tables, on one page with pictures and numbers",
-    ),
-    "tune": (
-        "commands.measuring:tune",
-        "drop a body with a range of stiffnesses, and show the results as a table and a strip of pictures",
-    ),
+    "figures": ("commands.measuring:figures", "make the paper's figures and tables, on one page"),
+    "tune": ("commands.measuring:tune", "drop a body with a range of stiffnesses, and compare the results"),
     "materials": ("commands.listing:list_materials", "list the materials by name"),
     "check": ("commands.measuring:check", "measure the physics against theory and finite elements"),
-    "study": (
-        "commands.study:study",
-        "compare participants in the settings physics and transform; ask the questionnaire",
-    ),
+    "study": ("commands.study:study", "compare participants in the settings physics and transform; questionnaire"),
 }
 
 

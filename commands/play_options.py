@@ -30,17 +30,13 @@ class SceneOptions(cli.Preparation):
         "ring_toss",
     )
     arch: cli.Arch | None = cli.arch_option()
-    interaction: cli.Setting = cli.option(
-        None, "what a grip does: deform and throw bodies, or move them rigidly", "physics"
-    )
+    interaction: cli.Setting = cli.option(None, "a grip deforms and throws bodies, or moves them rigidly", "physics")
     embedding: Literal["two-level", "one-level"] = cli.option(None, "how Gaussians follow the cage", "two-level")
     frames: cli.Count | None = cli.option("N", "stop after N frames")
     state: Path | None = cli.option("FILE.h5", "continue from a saved state, with its scene, bodies and view")
     replay: Path | None = cli.option("FILE.h5", "replay recorded input and compare the states", one_of=INPUT)
     seed: int = cli.seed_option()
-    body: list[str] | None = cli.option(
-        "FILE", "splat or asset to play with; give several to fill the scene's roles", repeat=True
-    )
+    body: list[str] | None = cli.option("FILE", "splat or asset to play with; several fill several roles", repeat=True)
     stage: str | None = cli.option("ROOM", "room to play in: a splat, or an asset prepared with --static")
     material: str | None = cli.option("NAME", "material of --body (default: its own; see: vrgs.py materials)")
     detail: cli.Detail = cli.option(None, "assets as shipped, or at the paper's sizes (python -m studio)", "shipped")

@@ -22,9 +22,7 @@ class PrepareOptions(cli.Preparation):
     EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
     CONDITIONS = (
         cli.Condition(("--cell", "--cut"), lambda o: o.static, "belongs to --static"),
-        cli.Condition(
-            ("--pieces",), lambda o: not o.static, "belongs to bodies; objects are cut out of a scene with --cut"
-        ),
+        cli.Condition(("--pieces",), lambda o: not o.static, "belongs to bodies; a scene has --cut"),
         cli.Condition(
             ("--front", "--vertices", "--cells", *OF_BODIES),
             lambda o: not o.static,
@@ -41,9 +39,7 @@ class PrepareOptions(cli.Preparation):
     cache: bool = cli.switch("store it where --body and --stage look, so that play starts at once", one_of=WHERE)
     rig: Path | None = cli.option("RIG.glb", "animate a standing person by this rig's motion")
     landmarks: Path | None = cli.option("L.json", "positions of the person's joints (default: guessed)")
-    material: str | None = cli.option(
-        "NAME", f"{', '.join(MATERIALS)} (default plush, stiffer where slender; a rig: flesh)"
-    )
+    material: str | None = cli.option("NAME", f"{', '.join(MATERIALS)} (default plush; with a rig: flesh)")
     static: bool = cli.switch("the splat is a room or garden to play in")
     cell: cli.Amount | None = cli.option("M", "--static: spacing of the distance grid (default: by size)")
     cut: list[cli.Count] | None = cli.option("ID", "--static: objects to cut out, each into a file")

@@ -37,9 +37,7 @@ class SegmentOptions(cli.Options):
         "segment room.ply --marks marks.json --out parts/",
     )
     CONDITIONS = (
-        cli.Condition(
-            ("--arch",), lambda o: o.splats or is_splats(o.capture), "belongs to --splats; nothing else needs a device"
-        ),
+        cli.Condition(("--arch",), lambda o: o.splats or is_splats(o.capture), "belongs to --splats"),
         cli.Condition(
             ("--splats", "--model", "--reduce", "--overlay", "--compare"),
             lambda o: not is_splats(o.capture),

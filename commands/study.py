@@ -23,11 +23,7 @@ class StudyOptions(cli.Options):
         "study all.h5 --answers answers_Ida_transform.json",
     )
     CONDITIONS = (
-        cli.Condition(
-            ("--out",),
-            lambda o: o.form is None and not o.answers,
-            "is for the comparison: leave out --form and --answers",
-        ),
+        cli.Condition(("--out",), lambda o: o.form is None and not o.answers, "is for the comparison alone"),
         cli.Condition(("--answers",), lambda o: o.form is None, "and --form do not go together"),
         cli.Condition(
             ("--participant", "--setting"), lambda o: o.form == "", "belongs to --form, which asks in the terminal"

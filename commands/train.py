@@ -58,9 +58,7 @@ class TrainOptions(cli.Options):
 
     capture: Path = cli.argument("CAPTURE", f"{cli.CAPTURES}, folder of photographs, or a video")
     out: Path = cli.option("OUT", "OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply", cli.REQUIRED)
-    steps: cli.Count | None = cli.option(
-        "N", f"training steps, one photograph each (default {cli.by_device(STEPS)}; a third with --fast)"
-    )
+    steps: cli.Count | None = cli.option("N", f"steps (default {cli.by_device(STEPS)}; a third of that with --fast)")
     fast: bool = cli.switch("about the same quality in a third of the time: fewer steps, starting on small pictures")
     strategy: Literal["default", "mcmc"] = cli.option(
         None, "default: add Gaussians where detail is missing; mcmc: always use all of --cap", "default"
@@ -70,13 +68,10 @@ class TrainOptions(cli.Options):
     antialias: bool = cli.switch("train for anti-aliased rendering (Mip-Splatting)")
     exposure: bool = cli.switch("also estimate exposure and colour balance of each photograph")
     refine_poses: bool = cli.switch("also correct the poses, by fractions of a degree")
-    sort: cli.Sort = cli.option(
-        None, "order of blending (default radial; pixel: along each pixel's ray, trains slower)", "radial"
-    )
+    sort: cli.Sort = cli.option(None, "blending order (default radial; pixel, along each ray, is slower)", "radial")
     reduce: cli.Count = cli.reduce_option("the photographs")
     masks: Path | None = cli.option(
-        "FOLDER",
-        "object masks to learn objects from, one colour per object; none: ignore them (default: CAPTURE/masks)",
+        "FOLDER", "masks to learn objects from, one colour per object, or none (default: CAPTURE/masks)"
     )
     split: bool = cli.switch("also write a splat of each object and of the background, beside OUT")
     test_every: int = cli.option("N", "hold out every Nth photograph for testing; 0: none (default 8)", 8)

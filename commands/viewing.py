@@ -35,11 +35,7 @@ WHERE = cli.OneOf()
 class RenderOptions(cli.Options):
     EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
     CONDITIONS = (
-        cli.Condition(
-            ("--up", "--size", "--frames", "--elevation"),
-            lambda o: o.turntable,
-            "belongs to --turntable; a camera file says all of this itself",
-        ),
+        cli.Condition(("--up", "--size", "--frames", "--elevation"), lambda o: o.turntable, "belongs to --turntable"),
     )
 
     splats: Path = cli.argument("SPLATS", f"{cli.SPLATS} or .h5")
@@ -172,9 +168,7 @@ class ViewOptions(cli.Options):
     size: cli.Size | None = cli.option("WxH", "picture size (default 960x540; a window: its last size)")
     background: cli.Colour = cli.option("COLOUR", "grey, black, white, or as #rrggbb (default grey)", cli.GREY)
     snapshot: cli.PictureName | None = cli.option("OUT.png", "no window: write one picture")
-    out: Path | None = cli.option(
-        "OUT.ply", "where O writes a crop: .ply, .compressed.ply, .spz or .splat (default: a new name)"
-    )
+    out: Path | None = cli.option("OUT.ply", "what O writes a crop to: .ply, .compressed.ply, .spz or .splat")
     sort: cli.Sort | None = cli.sort_option("radial")
     frames: cli.Count | None = cli.option("N", "stop after N frames")
     arch: cli.Arch | None = cli.arch_option()

@@ -71,7 +71,7 @@ class TrainOptions(cli.Options):
     sort: cli.Sort = cli.option(None, "blending order (default radial; pixel, along each ray, is slower)", "radial")
     reduce: cli.Count = cli.reduce_option("the photographs")
     masks: Path | None = cli.option(
-        "FOLDER", "masks to learn objects from, one colour per object, or none (default: CAPTURE/masks)"
+        "FOLDER", "masks to learn objects from, one colour each; none: ignore them (default: CAPTURE/masks)"
     )
     split: bool = cli.switch("also write a splat of each object and of the background, beside OUT")
     test_every: int = cli.option("N", "hold out every Nth photograph for testing; 0: none (default 8)", 8)

@@ -176,7 +176,7 @@ def test_the_command_keeps_all_pieces_and_says_how_many(ti_cpu, tmp_path, capsys
     [
         (["prepare", "two.ply", "--out", "o.h5", "--pieces", "--rig", "r.glb"], "--pieces is for"),
         (["prepare", "two.ply", "--out", "o.h5", "--pieces", "--static"], "--pieces belongs to bodies"),
-        (["--pieces", "--headless"], "is for a splat file given by --body"),
+        (["--pieces", "--headless"], "is for a splat file given with --body"),
     ],
 )
 def test_pieces_where_there_can_be_none_are_refused(ti_cpu, tmp_path, capsys, monkeypatch, options, message):

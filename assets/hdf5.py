@@ -86,15 +86,22 @@ class Hdf5Reader:
         self._bound(name, data)
         return data[()]
 
-    def floats(self, name: str, shape: tuple[int | None, ...], dtype=np.float32) -> np.ndarray:
-        """A dataset of floating-point numbers, not checked to be finite."""
+    def floats(
+        self, name: str, shape: tuple[int | None, ...], dtype=np.float32, *, within: tuple[float, float] | None = None
+    ) -> np.ndarray:
+        """A dataset of floating-point numbers, all of them `within` two bounds; None: not checked to be finite."""
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow becomes infinite
-            return self.array(name, "f", shape).astype(dtype, copy=False)
+            values = self.array(name, "f", shape).astype(dtype, copy=False)
+        if within is not None and not ((values >= within[0]) & (values <= within[1])).all():  # NaN compares false
+            raise self.error(f"{name} holds values out of range")
+        return values
 
-    def indices(self, name: str, shape: tuple[int | None, ...], dtype=np.int32) -> np.ndarray:
-        """A dataset of integers from 0 to the largest of `dtype`."""
+    def indices(
+        self, name: str, shape: tuple[int | None, ...], dtype=np.int32, *, low: int = 0, high: int | None = None
+    ) -> np.ndarray:
+        """A dataset of integers from `low` to `high`; None: to the largest of `dtype`."""
         values = self.array(name, "iu", shape)
-        if values.size and (values.min() < 0 or values.max() > np.iinfo(dtype).max):
+        if values.size and (values.min() < low or values.max() > (np.iinfo(dtype).max if high is None else high)):
             raise self.error(f"{name} holds an index out of range")
         return values.astype(dtype)
 
@@ -273,6 +280,12 @@ def new_hdf5(path: Path, libver: tuple[str, str] | None = None) -> Iterator[h5py
     # Released at once: an exception keeps its frames, and Python 3.13 complains of views that outlive the image.
     with image.getbuffer() as content, open(path, "wb") as out:
         out.write(content)
+
+
+def runs(counts: np.ndarray) -> list[slice]:
+    """Slices of a column that holds runs of these lengths, one after the other."""
+    ends = np.cumsum(counts, dtype=np.int64)
+    return [slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)]
 
 
 def write_dataset(file: h5py.File, name: str, values: np.ndarray, dtype) -> None:

@@ -21,6 +21,13 @@ def matrices_from_quaternions(quaternions) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
+def pose_matrix(position, rotation) -> np.ndarray:
+    """(4, 4) of a position (3,) and a rotation (or other linear map) (3, 3)."""
+    m = np.eye(4)
+    m[:3, :3], m[:3, 3] = rotation, position
+    return m
+
+
 def quaternions_from_matrices(matrices) -> np.ndarray:
     """Unit quaternions wxyz (..., 4) of rotation matrices (..., 3, 3); the largest component is positive.
 

@@ -16,7 +16,7 @@ from assets.library import animated_height, default_material, find_asset
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.morton import morton_order
-from core.rotation import best_fit_rotation, matrices_from_quaternions
+from core.rotation import best_fit_rotation, matrices_from_quaternions, pose_matrix
 from core.vocabulary import Body, BodyState
 from scenes.scene import Scene
 from sim.bodies import RigidBody
@@ -130,9 +130,8 @@ class AnimationTargets:
     def __init__(self, body: int, placed: Body, animation: Animation, vertices: np.ndarray):
         self.body, self.animation, self.time = body, animation, 0.0
         q = np.asarray(placed.rotation, np.float64)
-        self.world_from_body = np.eye(4)
-        self.world_from_body[:3, :3] = matrices_from_quaternions((q / np.linalg.norm(q))[None])[0] * placed.scale
-        self.world_from_body[:3, 3] = placed.position
+        rotation = matrices_from_quaternions(q / np.linalg.norm(q))
+        self.world_from_body = pose_matrix(placed.position, rotation * placed.scale)
         driven = animation.driven
         index = animation.vertices[driven]
         self.skinning = Skinning(
@@ -181,10 +180,8 @@ class AnimationTargets:
         there, here = (f.to_numpy()[index].astype(np.float64) for f in (solver.kinematic.target, solver.x))
         if np.abs(here - there).max() < ROUNDING:
             return self
-        by = np.eye(4)
-        by[:3, :3] = best_fit_rotation((here - here.mean(0)).T @ (there - there.mean(0)))
-        by[:3, 3] = here.mean(0) - by[:3, :3] @ there.mean(0)
-        return self.moved(by)
+        rotation = best_fit_rotation((here - here.mean(0)).T @ (there - there.mean(0)))
+        return self.moved(pose_matrix(here.mean(0) - rotation @ there.mean(0), rotation))
 
 
 @dataclass(frozen=True)
@@ -195,6 +192,11 @@ class Piece:
     part: EmbeddedBody
     animation: Animation | None
     placed: Body
+
+    def targets(self, body: int) -> list[AnimationTargets]:
+        """The animation, if it has one, as that of body number `body` of a solver."""
+        led = self.animation is not None
+        return [AnimationTargets(body, self.placed, self.animation, self.body.vertices)] if led else []
 
 
 def pieces_of(asset: str, name: str = "") -> list[Piece]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -14,6 +14,7 @@ from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import BodyState, Hand, Light
+from display import user_commands as cmd
 from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
@@ -21,27 +22,11 @@ from display.edit.editor import Editor, RoomTurn, Step
 from display.picture import surface_point
 from display.protocol import Frame, WorldView
 from display.timing import Timings
-from display.user_commands import (
-    MIN_TIME_SCALE,
-    Command,
-    LoadState,
-    Pause,
-    PlayDemo,
-    Rescale,
-    Reset,
-    SaveState,
-    SetGravity,
-    SetInteraction,
-    SetLight,
-    SetTimeScale,
-    Settle,
-    SingleStep,
-    last_of,
-)
 from scenes.scene import Scene
 from sim.reductions import Observation
 
 MAX_GRAVITY = 100.0  # [m/s^2] on an axis: ten times the earth's
+COUNTS = ("vertices", "tets", "substeps", "dt", "integrator", "iterations", "collision_passes", "finite", "asleep")
 SCRIPT_DT = 1 / 60  # [s]; a scripted hand plays in frames of this length, whatever the display's, to play alike
 
 
@@ -53,7 +38,7 @@ class WorldSnapshot:
     time: float
     backlog: float
     game: dict
-    room: np.ndarray = field(default_factory=lambda: np.eye(4))  # pose of the room (display/edit/editor.py)
+    room: np.ndarray  # pose of the room (display/edit/editor.py)
 
 
 @dataclass(frozen=True)
@@ -124,7 +109,7 @@ class World(WorldView):
         """
         self._carry_out(frame.commands)
         props_moved = self._place_props(frame.prop_poses)
-        simulates = not self.paused or last_of(SingleStep, frame.commands) is not None
+        simulates = not self.paused or cmd.last_of(cmd.SingleStep, frame.commands) is not None
         deforms = self._deform_due or (simulates and self.moving)
         launched = self._launch(frame) if simulates else None
         if deforms:
@@ -135,18 +120,18 @@ class World(WorldView):
         elif props_moved and not deforms:
             self._cast_shadow()
         self._hands = frame.hands
-        if last_of(Settle, frame.commands) is not None or last_of(SaveState, frame.commands) is not None:
+        if any(isinstance(c, (cmd.Settle, cmd.SaveState)) for c in frame.commands):
             self.settle()
         cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
         self.draw(cameras, meanwhile=lambda: self._observe(launched))
 
-    def _carry_out(self, commands: Sequence[Command]) -> None:
+    def _carry_out(self, commands: Sequence[cmd.Command]) -> None:
         """Carry out the frame's commands, and keep the size given to a body by two hands that have let go of it."""
         self.editor.begin_frame()
         scaled = self.device.solver.take_scaling()
         self._commanding = True
         try:
-            self.apply([*([] if scaled is None else [Rescale(*scaled)]), *commands])
+            self.apply([*([] if scaled is None else [cmd.Rescale(*scaled)]), *commands])
         finally:
             self._commanding = False
 
@@ -229,35 +214,36 @@ class World(WorldView):
 
     # commands
 
-    def apply(self, commands: Sequence[Command]) -> None:
+    def apply(self, commands: Sequence[cmd.Command]) -> None:
         """Carry out the commands of a frame, in the order of display/user_commands.py."""
-        demo, light = last_of(PlayDemo, commands), last_of(SetLight, commands)
-        interaction, pause = last_of(SetInteraction, commands), last_of(Pause, commands)
-        if demo is not None and demo.on:
+        demo = cmd.last_of(cmd.PlayDemo, commands)
+        begins, resets = demo is not None and demo.on, cmd.last_of(cmd.Reset, commands) is not None
+        if begins:
             self.demo, self._demo_from, self.paused = True, self.interaction, False
-        elif demo is not None or last_of(Reset, commands) is not None:
+        elif demo is not None or resets:
             self._end_demo()
-        load = last_of(LoadState, commands)
+        load = cmd.last_of(cmd.LoadState, commands)
         if load is not None:
             self.load_state(load.path)
-        if last_of(Reset, commands) is not None or (demo is not None and demo.on):  # a script begins at the beginning
+        if begins or resets:  # a script begins at the beginning
             self.editor.record("reset")
             self.reset()
-        if light is not None and self.light is not None:
-            self.editor.record("light")
-            self.set_light(light.light)
-        gravity, time_scale = last_of(SetGravity, commands), last_of(SetTimeScale, commands)
-        if gravity is not None:
-            self.editor.record("gravity", gravity.continued)
-            self.set_gravity(gravity.gravity)
-        if time_scale is not None:
-            self.editor.record("time_scale", time_scale.continued)
-            self.set_time_scale(time_scale.scale)
-        if interaction is not None:
-            self._set_interaction(interaction.mode)
+        for command in cmd.in_order(commands):
+            match command:
+                case cmd.SetLight(light) if self.light is not None:
+                    self.editor.record("light")
+                    self.set_light(light)
+                case cmd.SetGravity(gravity, continued):
+                    self.editor.record("gravity", continued)
+                    self.set_gravity(gravity)
+                case cmd.SetTimeScale(scale, continued):
+                    self.editor.record("time_scale", continued)
+                    self.set_time_scale(scale)
+                case cmd.SetInteraction(mode):
+                    self._set_interaction(mode)
+                case cmd.Pause(on):
+                    self.paused = on
         self.editor.apply(commands)
-        if pause is not None:
-            self.paused = pause.on
 
     def _end_demo(self) -> None:
         """Let the user's hands play again, in the mode in which they did."""
@@ -272,7 +258,7 @@ class World(WorldView):
     def reset(self) -> None:
         """Put the scene's own bodies at their start, remove all others, and restart the game."""
         if self.registry.changed:
-            self.editor.deselect()
+            self.editor.selected = None
         self.registry.reset()
         if self.room.moved:  # the start is a place in the room
             for k in range(len(self.registry.members)):
@@ -300,7 +286,7 @@ class World(WorldView):
 
     def set_time_scale(self, scale: float) -> None:
         """Slow time down; 1 is real time."""
-        self.time_scale = float(np.clip(scale, MIN_TIME_SCALE, 1.0))
+        self.time_scale = float(np.clip(scale, cmd.MIN_TIME_SCALE, 1.0))
 
     def settle(self) -> None:
         """Continue as if this state had been saved and loaded: warm starts of contacts are dropped, grips are kept."""
@@ -316,7 +302,7 @@ class World(WorldView):
             if not path:
                 raise BadInput("No state of this scene was saved yet.")
             state = read_state(path)
-            self.editor.recorded("load", lambda: put_state(self, state, str(path)))
+            self.editor.edit("load", lambda: put_state(self, state, str(path)))
             self.tell(f"Goes on from {path}")
         except BadInput as e:
             self.tell(str(e))
@@ -350,7 +336,7 @@ class World(WorldView):
         if game is None:
             return []
         if hasattr(game, "interaction") and game.interaction(time) != self.interaction:
-            self.apply([SetInteraction(game.interaction(time))])
+            self.apply([cmd.SetInteraction(game.interaction(time))])
         return game.hands(time, self.registry.scene_states(self._bodies))
 
     # The view of displays, as WorldView says (display/protocol.py)
@@ -447,18 +433,7 @@ class World(WorldView):
     def stats(self) -> dict:
         """Counts and state for panels and `--stats`, and the files that play roles."""
         s = self.device.solver.stats
-        names = [
-            "vertices",
-            "tets",
-            "substeps",
-            "dt",
-            "integrator",
-            "iterations",
-            "collision_passes",
-            "finite",
-            "asleep",
-        ]
-        counts = {"gaussians": self.device.splats.count, **{n: s[n] for n in names}, "score": self.score}
+        counts = {"gaussians": self.device.splats.count, **{n: s[n] for n in COUNTS}, "score": self.score}
         limits = [{"body": body, "young": young, "simulated": simulated} for body, young, simulated in self.softened]
         roles = {"roles": {role: file for file, role in self.scene.cast}} if self.scene.cast else {}
         return {**counts, "softened": limits, **roles}

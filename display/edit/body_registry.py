@@ -14,6 +14,7 @@ import numpy as np
 
 from core.errors import BadInput
 from core.material import MATERIALS, Material
+from core.rotation import pose_matrix
 from core.vocabulary import BodyState, Hand
 from display.device_scene import DeviceScene
 from display.scene_bodies import AnimationTargets, Piece, fitted_harmonics, pieces_of
@@ -59,7 +60,7 @@ class BodyRegistry:
         self._scene_members = self.members = tuple(Member(k) for k in range(len(self.scene_models)))
         self._packed: list[PackedBody] | None = None
         self._looks: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # see Splats.read
-        self._animated = {a.body: a for a in device.animations}  # of each source that moves by itself
+        self.animated = {a.body: a for a in device.animations}  # of each source that has one, at any place and time
         self.source_models = list(self.scene_models)  # of all that a body can look like: the scene's, then those added
         self.added: dict[str, list[int]] = {}  # sources of the assets that joined, after those of the scene
 
@@ -115,9 +116,7 @@ class BodyRegistry:
 
         first = self._with_capacity(add)
         for k, piece in enumerate(pieces):
-            if piece.animation is not None:
-                led = piece.placed, piece.animation, piece.body.vertices
-                self.animations.append(AnimationTargets(first + k, *led))
+            self.animations += piece.targets(first + k)
         self._show(members)
         return first
 
@@ -133,16 +132,11 @@ class BodyRegistry:
                 opacity = piece.part.gaussians.opacities.astype(np.float32)
                 self._looks.append((opacity, sh, np.ones_like(opacity)))
                 device.gaussian_counts.append(len(piece.part.gaussians))
-                if piece.animation is not None:
-                    led = piece.placed, piece.animation, piece.body.vertices
-                    self._animated[len(self.source_models)] = AnimationTargets(0, *led)
+                for animation in piece.targets(0):
+                    self.animated[len(self.source_models)] = animation
                 self.source_models.append(BodyModel.of(piece.body, self.source_models))
             self.added[asset] = list(range(first, first + len(pieces)))
         return self.added[asset]
-
-    def animation(self, source: int) -> AnimationTargets | None:
-        """The animation of what looks so, at any place and time; None if it has none."""
-        return self._animated.get(source)
 
     def remove(self, k: int) -> None:
         """Remove a body."""
@@ -159,8 +153,7 @@ class BodyRegistry:
             return self.device.solver.duplicate(k, offset)
 
         new = self._with_capacity(copy)
-        by = np.eye(4)
-        by[:3, 3] = offset
+        by = pose_matrix(offset, np.eye(3))
         self.animations += [a.moved(by, new) for a in self.animations if a.body == k]
         self._show(members)
         return new
@@ -168,9 +161,7 @@ class BodyRegistry:
     def rescale(self, k: int, factor: float, about: np.ndarray) -> None:
         """Scale a body about a point [m]."""
         self._with_capacity(lambda: self.device.solver.rescale(k, factor, about=about))
-        by = np.diag([factor, factor, factor, 1.0])
-        by[:3, 3] = (1.0 - factor) * about
-        self._move_animation(k, by)
+        self._move_animation(k, pose_matrix((1.0 - factor) * about, factor * np.eye(3)))
 
     def displace(self, k: int, by: np.ndarray, *, rest: bool = False) -> None:
         """Move a body by a rigid transform (4, 4); `rest`: it stands still then."""
@@ -181,9 +172,8 @@ class BodyRegistry:
         """Make a body of another material, given or named."""
         given = material if isinstance(material, Material) else Material.named(str(material))
         self._with_capacity(lambda: self.device.solver.set_material(k, given))
-        members = list(self.members)
-        members[k] = replace(members[k], material=members[k].material if given is material else str(material))
-        self._show(tuple(members))
+        name = self.members[k].material if given is material else str(material)
+        self._show((*self.members[:k], replace(self.members[k], material=name), *self.members[k + 1 :]))
 
     def material(self, k: int) -> tuple[Material, str]:
         """Material of a body, and its name: "rubber", "rubber, changed"; of a rigid body, "rigid"."""
@@ -222,7 +212,7 @@ class BodyRegistry:
         """The snapshot of another registry of the same scene, with its animations on this device."""
         for asset in snapshot.added:
             self.sources_of(pieces_of(asset))
-        own = self._animated
+        own = self.animated
         animations = tuple(own[snapshot.members[a.body].source].placed_as(a) for a in snapshot.animations)
         return replace(snapshot, animations=animations)
 

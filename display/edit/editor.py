@@ -11,35 +11,20 @@ import numpy as np
 
 from assets.library import SHIPPED_FOLDER, find_asset
 from core.errors import BadInput
-from core.material import Material
-from core.rotation import matrices_from_quaternions
+from core.rotation import best_fit_rotation, matrices_from_quaternions, pose_matrix
 from core.vocabulary import Body, BodyState, Box, Hand, Light
+from display import user_commands as cmd
 from display.edit.body_registry import BodyRegistry
 from display.edit.selection_marker import MARKED_SECONDS
 from display.protocol import Notice
 from display.scene_bodies import pieces_of, put_over
-from display.user_commands import (
-    Command,
-    Duplicate,
-    EditCommand,
-    Place,
-    Redo,
-    Remove,
-    Rescale,
-    Rotate,
-    Select,
-    SetMaterial,
-    TurnRoom,
-    Undo,
-    in_order,
-)
 from scenes.scene import Scene
 
 if TYPE_CHECKING:
     from display.device_scene import DeviceScene
 
 DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2, "turn room": 2}  # frames without such a command that end its drag
-SELECTING = (Select, Duplicate, Rescale, Rotate, Place, SetMaterial)  # after these the selected body is marked
+SELECTING = (cmd.Select, cmd.Duplicate, cmd.Rescale, cmd.Rotate, cmd.Place, cmd.SetMaterial)  # what is marked then
 SETTINGS = ("light", "gravity", "time_scale")  # of the world: an undo of one leaves the bodies where they are
 FARTHEST = 100.0  # [m] that a body can be moved at once
 BOX_SLACK = 0.05  # of a body's size, about its bounding box: its Gaussians reach over its cage
@@ -79,19 +64,19 @@ class UndoStack:
         self.undone.clear()
         self._trim()
 
-    def back(self, now: Callable[[Step], Step]) -> Step | None:
-        """Undo the last action: the step to return to, or None. `now` returns the present state as a step."""
+    def back(self, now: Callable[[str], Step]) -> Step | None:
+        """Undo the last action: the step to return to, or None. `now` is the present state as a step of an action."""
         return self._move(self.done, self.undone, now)
 
-    def forth(self, now: Callable[[Step], Step]) -> Step | None:
+    def forth(self, now: Callable[[str], Step]) -> Step | None:
         """Redo the action that was undone last."""
         return self._move(self.undone, self.done, now)
 
-    def _move(self, source: list[Step], target: list[Step], now: Callable[[Step], Step]) -> Step | None:
+    def _move(self, source: list[Step], target: list[Step], now: Callable[[str], Step]) -> Step | None:
         if not source:
             return None
         step = source.pop()
-        target.append(now(step))
+        target.append(now(step.action))
         self._trim()
         return step
 
@@ -130,14 +115,10 @@ class Editor:
         """Note that a frame begins."""
         self._frame += 1
 
-    def deselect(self) -> None:
-        """Select no body."""
-        self.selected = None
-
-    def apply(self, commands: Sequence[Command]) -> None:
+    def apply(self, commands: Sequence[cmd.Command]) -> None:
         """Carry out the commands that change bodies."""
-        for command in in_order(commands):
-            if isinstance(command, EditCommand):
+        for command in cmd.in_order(commands):
+            if isinstance(command, cmd.EditCommand):
                 try:
                     self.notice.clear()
                     self._carry_out(command)
@@ -146,30 +127,36 @@ class Editor:
                 except BadInput as e:
                     self.notice.tell(str(e))
 
-    def _carry_out(self, command: Command) -> None:
+    def _carry_out(self, command: cmd.Command) -> None:
+        bodies = self._bodies
         match command:
-            case Select(body):
-                self.selected = None if body is None else self._index(body)
-            case Remove(body):
-                self._remove(self._index(body))
-            case Duplicate(body):
-                self._duplicate(self._index(body))
-            case Rescale(body, factor):
-                self._rescale(self._index(body), factor)
-            case Rotate(body, rotation):
-                self._rotate(self._index(body), rotation)
-            case Place(body, offset, rotation, continued):
-                self._place(self._index(body), offset, rotation, continued)
-            case TurnRoom(rotation, continued):
+            case cmd.Select(body):
+                self.selected = None if body is None else self.index_of(body)
+            case cmd.Remove(body):
+                k = self.index_of(body)
+                self.edit("remove", lambda: bodies.remove(k))
+                self.selected = None
+            case cmd.Duplicate(body):
+                k = self.index_of(body)
+                offset = copy_offset(k, self._world.bodies())
+                self.selected = self.edit("duplicate", lambda: bodies.duplicate(k, offset))
+            case cmd.Rescale(body, factor):
+                self._rescale(self.index_of(body), factor)
+            case cmd.Rotate(body, rotation):
+                self._rotate(self.index_of(body), rotation)
+            case cmd.Place(body, offset, rotation, continued):
+                self._place(self.index_of(body), offset, rotation, continued)
+            case cmd.TurnRoom(rotation, continued):
                 self._turn_room(rotation, continued)
-            case SetMaterial(body, material, continued):
-                self._set_material(self._index(body), material, continued)
-            case Undo():
-                self._return(self.history.back(self._present), "Nothing to undo.")
-            case Redo():
-                self._return(self.history.forth(self._present), "Nothing to redo.")
+            case cmd.SetMaterial(body, material, continued):
+                k = self.index_of(body)
+                self.edit("material", lambda: bodies.set_material(k, material), select=k, continued=continued)
+            case cmd.Undo():
+                self._return(self.history.back(self._step), "Nothing to undo.")
+            case cmd.Redo():
+                self._return(self.history.forth(self._step), "Nothing to redo.")
 
-    def _index(self, body: int | None) -> int:
+    def index_of(self, body: int | None) -> int:
         """The body that a command names; None: the selected one."""
         k = self.selected if body is None else body
         if k is None:
@@ -178,11 +165,11 @@ class Editor:
             raise BadInput(f"There is no body {k}.")
         return int(k)
 
-    def _edit(self, action: str, edit: Callable[[], T], select: int | None = None, continued: bool = False) -> T:
-        """Record the state, carry out an edit of the registry, and refresh the world."""
+    def edit(self, action: str, change: Callable[[], T], select: int | None = None, continued: bool = False) -> T:
+        """Make a change of the bodies, remember the state before, unless it raises, and refresh the world."""
         before = self._before(action, continued)
         self.selected = self.selected if select is None else select
-        result = edit()
+        result = change()
         self._record(action, before)
         self._world.refresh()
         return result
@@ -192,16 +179,8 @@ class Editor:
         if not self._bodies.members:
             raise BadInput("Nothing can be added to a scene without bodies.")
         pieces = put_over(pieces_of(asset, name), self._world.scene, self._world.bodies())
-        self.selected = self._edit("add", lambda: self._bodies.add(pieces))
+        self.selected = self.edit("add", lambda: self._bodies.add(pieces))
         self._selected_until = monotonic() + MARKED_SECONDS
-
-    def _remove(self, k: int) -> None:
-        self._edit("remove", lambda: self._bodies.remove(k))
-        self.selected = None
-
-    def _duplicate(self, k: int) -> None:
-        offset = copy_offset(k, self._world.bodies())
-        self.selected = self._edit("duplicate", lambda: self._bodies.duplicate(k, offset))
 
     def _rescale(self, k: int, wanted: float) -> None:
         now, body = self._bodies.device.solver.body_models[k].shape.factor, self._world.bodies()[k]
@@ -215,25 +194,23 @@ class Editor:
         if abs(factor - 1.0) < SCALE_ROUNDING:
             raise BadInput(f"It is as {'large' if wanted > 1.0 else 'small'} as it can be.")
         fixed = body.centroid if body.held else np.array([body.centroid[0], body.low[1], body.centroid[2]])
-        self._edit("rescale", lambda: self._bodies.rescale(k, factor, fixed), select=k)
+        self.edit("rescale", lambda: self._bodies.rescale(k, factor, fixed), select=k)
 
     def _rotate(self, k: int, rotation) -> None:
-        body, by = self._world.bodies()[k], np.eye(4)
-        by[:3, :3] = rotation_matrix(rotation)
-        by[:3, 3] = body.centroid - by[:3, :3] @ body.centroid
+        body = self._world.bodies()[k]
+        by = carrying(rotation_matrix(rotation), body.centroid, body.centroid)
         if not body.held:  # a body that stands on a table still does
             solver = self._bodies.device.solver
             first, last = solver.vertex_offset[k : k + 2]
             by[1, 3] += body.low[1] - (solver.snapshot()["x"][first:last] @ by[1, :3] + by[1, 3]).min()
-        self._edit("rotate", lambda: self._bodies.displace(k, by), select=k)
+        self.edit("rotate", lambda: self._bodies.displace(k, by), select=k)
 
     def _place(self, k: int, offset, rotation, continued: bool) -> None:
-        offset, body, by = np.asarray(offset, np.float64), self._world.bodies()[k], np.eye(4)
+        offset, centroid = np.asarray(offset, np.float64), self._world.bodies()[k].centroid
         if offset.shape != (3,) or not (np.linalg.norm(offset) < FARTHEST):
             raise BadInput(f"A body cannot be moved by {offset.tolist()}.")
-        by[:3, :3] = rotation_matrix(rotation)
-        by[:3, 3] = body.centroid + offset - by[:3, :3] @ body.centroid
-        self._edit("place", lambda: self._bodies.displace(k, by, rest=True), select=k, continued=continued)
+        by = carrying(rotation_matrix(rotation), centroid, centroid + offset)
+        self.edit("place", lambda: self._bodies.displace(k, by, rest=True), select=k, continued=continued)
 
     def _turn_room(self, rotation, continued: bool) -> None:
         room = self._world.room
@@ -244,22 +221,13 @@ class Editor:
             for k in range(len(self._bodies.members)):
                 self._bodies.displace(k, by, rest=True)
 
-        self._edit("turn room", turn, continued=continued)
-
-    def _set_material(self, k: int, material: Material | str, continued: bool) -> None:
-        self._edit("material", lambda: self._bodies.set_material(k, material), select=k, continued=continued)
+        self.edit("turn room", turn, continued=continued)
 
     # history
 
     def record(self, action: str, continued: bool = False) -> None:
         """Remember the state before this action; a drag, a command in each frame, is one action."""
         self._record(action, self._before(action, continued))
-
-    def recorded(self, action: str, change: Callable[[], None]) -> None:
-        """Make a change of the world, and remember the state before; not if it raises."""
-        before = self._before(action)
-        change()
-        self._record(action, before)
 
     def _before(self, action: str, continued: bool = False) -> Step | None:
         """The state before an action; None if it continues the last one."""
@@ -284,9 +252,6 @@ class Editor:
             if model.shape.root is not model.shape:  # a scaled body has a distance grid of its own
                 sizes[id(model.shape)] = model.shape.bytes
         return Step(action, (snapshot, self.selected), sizes)
-
-    def _present(self, step: Step) -> Step:
-        return self._step(step.action)
 
     def _return(self, step: Step | None, nothing: str) -> None:
         """Bring the state of a step back."""
@@ -324,6 +289,11 @@ def rotation_matrix(rotation) -> np.ndarray:
     if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
         raise BadInput(f"A body cannot be turned by {rotation}.")
     return matrices_from_quaternions((q / np.linalg.norm(q))[None])[0]
+
+
+def carrying(rotation: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The transform (4, 4) with this rotation (3, 3) that carries a point to another."""
+    return pose_matrix(end - rotation @ start, rotation)
 
 
 def body_with(points: Sequence[np.ndarray], bodies: list[BodyState]) -> int | None:
@@ -385,10 +355,7 @@ class RoomTurn:
         """The transform (4, 4) that turns the room by (3, 3) about `middle`. Raises BadInput."""
         if self.own is None:
             raise BadInput("Only a room of your own can be turned: vrgs.py capture, or --stage ROOM.")
-        middle, by = self.middle, np.eye(4)
-        by[:3, :3] = rotation
-        by[:3, 3] = middle - rotation @ middle
-        return by
+        return carrying(rotation, self.middle, self.middle)
 
     @property
     def middle(self) -> np.ndarray:
@@ -400,18 +367,10 @@ class RoomTurn:
         if np.abs(pose - self.pose).max() <= 0.0:
             return
         by = pose @ np.linalg.inv(self.pose)
-        self.pose = orthonormal(pose)
+        self.pose = pose_matrix(pose[:3, 3], best_fit_rotation(pose[:3, :3]))  # without rounding errors
         self._device.place_room(self.pose)
         if self._device.light is not None:
             self._device.set_light(turned_light(self._device.light, by))
-
-
-def orthonormal(pose: np.ndarray) -> np.ndarray:
-    """The rigid transform (4, 4) nearest to one that has picked up rounding errors."""
-    u, _, vt = np.linalg.svd(pose[:3, :3])
-    found = pose.copy()
-    found[:3, :3] = u @ vt
-    return found
 
 
 def turned_light(light: Light, by: np.ndarray) -> Light:

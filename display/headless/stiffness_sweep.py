@@ -205,13 +205,13 @@ def strip(name: str, drops: list[Drop], height: float) -> np.ndarray:
 
 def mark_height(picture: np.ndarray, camera: Camera, x: np.ndarray, height: float) -> None:
     """Draw a dashed line at the undeformed height: `height` [m] above the lowest point."""
-    w, reach = camera.world_to_camera, 2.0 * np.ptp(x, axis=0).max()
+    reach = 2.0 * np.ptp(x, axis=0).max()
     middle = np.array([x[:, 0].mean(), x[:, 1].min() + height, x[:, 2].mean()])
-    p = (middle + np.linspace(-reach, reach, 82)[:, None] * w[0, :3]) @ w[:3, :3].T + w[:3, 3]
-    pixels = p[:, :2] / p[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    for a, b in pixels.reshape(-1, 2, 2):
+    u, v, _ = camera.projected(middle + np.linspace(-reach, reach, 82)[:, None] * camera.world_to_camera[0, :3])
+    for a, b in np.column_stack([u, v]).reshape(-1, 2, 2):
         cv2.line(picture, *(tuple(np.round(16 * q).astype(int).tolist()) for q in (a, b)), ACCENT, 1, cv2.LINE_AA, 4)
 
 
 def write(page: np.ndarray, text: str, place: tuple[int, int], size: int, colour=INK, weight: int = 400) -> None:
+    """Write a text on a picture, from its lower left corner on."""
     cv2.putText(page, text, place, colour, cv2.FontFace("sans"), size, weight)

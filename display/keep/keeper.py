@@ -14,21 +14,11 @@ from assets.camera_file import write_cameras
 from core.camera import fitted
 from core.errors import BadInput
 from core.vocabulary import Light
+from display import user_commands as cmd
 from display.headless.video import FilmWriter
 from display.picture import output_path, pixels_of, save_picture
 from display.preferences import PathText, Preferences
 from display.protocol import Frame
-from display.user_commands import (
-    Export,
-    Film,
-    KeepFrame,
-    LoadState,
-    SaveState,
-    SetLight,
-    TakePicture,
-    WriteCamera,
-    in_order,
-)
 
 
 class Keeper:
@@ -54,7 +44,7 @@ class Keeper:
 
     def after(self, frame: Frame, world) -> None:
         """Carry out the frame's commands, and film the frame."""
-        for command in in_order(frame.commands):
+        for command in cmd.in_order(frame.commands):
             try:
                 self._carry_out(command, frame, world)
             except (BadInput, OSError) as e:
@@ -72,14 +62,14 @@ class Keeper:
 
     def _carry_out(self, command, frame: Frame, world) -> None:
         match command:
-            case TakePicture(size):
+            case cmd.TakePicture(size):
                 path, pixels = self._new_path(".png"), full_picture(world, size)
                 self._write(path, lambda: save_picture(path, pixels))
-            case WriteCamera(size):
+            case cmd.WriteCamera(size):
                 path = self._new_path("_camera.json")
                 cameras = [fitted(world.cameras[0], *(size or world.picture_size))]
                 self._write(path, lambda: write_cameras(path, cameras))
-            case SaveState(name, view):
+            case cmd.SaveState(name, view):
                 from display.keep.scene_state import state_of
                 from display.keep.state_file import write_state
 
@@ -87,20 +77,20 @@ class Keeper:
                 state = state_of(world, self.about(), view)
                 self._write(path, lambda: write_state(path, state))
                 self._preferences.set(f"state.{self.scene}", str(path))
-            case Export(kind, body, shadows):
+            case cmd.Export(kind, body, shadows):
                 from display.keep.scene_export import exporter
 
                 path = self._new_path(f".{kind}")
                 self._write(path, exporter(world, path, body=body, shadows=shadows))
-            case KeepFrame(body):
+            case cmd.KeepFrame(body):
                 from display.keep.kept_frame import frame_writer
 
                 path, write = frame_writer(world, body)
                 self._write(path, write)
-            case Film(on, size) if on and self._film is None:
+            case cmd.Film(on, size) if on and self._film is None:
                 self._film = FilmWriter(self._new_path(".mp4"), *(size or world.picture_size))
                 self._film_begin = frame.time - frame.dt
-            case Film(on) if not on and self._film is not None:
+            case cmd.Film(on) if not on and self._film is not None:
                 self._finish_film()
                 world.film_seconds = None
 
@@ -183,12 +173,12 @@ class Remembered:
     def given(self, frame: Frame, world) -> Frame:
         """The frame with the remembered light, if it is the first, and with the path of the state to be loaded."""
         commands = frame.commands
-        if any(isinstance(c, LoadState) and not c.path for c in commands):
+        if any(isinstance(c, cmd.LoadState) and not c.path for c in commands):
             last = self._preferences.get(f"state.{self._scene}", PathText, "")
-            commands = [replace(c, path=c.path or last) if isinstance(c, LoadState) else c for c in commands]
+            commands = [replace(c, path=c.path or last) if isinstance(c, cmd.LoadState) else c for c in commands]
         light = self._light() if self._fresh and world.light is not None else None
         self._fresh = False
-        frame.commands = commands if light is None else [SetLight(light), *commands]
+        frame.commands = commands if light is None else [cmd.SetLight(light), *commands]
         return frame
 
     def _light(self) -> Light | None:

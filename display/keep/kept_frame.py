@@ -36,19 +36,14 @@ def frame_writer(world: World | Viewer, body: int | None) -> tuple[Path, Callabl
         return file_writer(world)
     if world.room.turned:
         return room_writer(world)
-    k = world.selected if body is None else body
-    if k is None:
-        raise BadInput("Take hold of something first, or point at it.")
+    k = world.editor.index_of(body)
     placed = body_of(world, k)
     path = find_asset(placed.asset)
-    if path.resolve().is_relative_to(SHIPPED_FOLDER.resolve()):
-        raise BadInput(f"{path.stem} comes with the program: only a body of your own can be changed for good.")
     asset, small = Asset.load(path), is_quantised(path)
     rotation, factor = turn_since(asset, world, k)
     start = world.room.pose[:3, :3] @ matrices_from_quaternions(np.asarray(placed.rotation, np.float64))
     rotation, factor = start.T @ rotation, factor / placed.scale
-    if np.abs(rotation - np.eye(3)).max() < SAME and abs(factor - 1.0) < SAME:
-        raise BadInput(f"{path.stem} is already in its file as it is here.")
+    check_change(path, rotation, factor)
     changed = asset.transformed(rotation, factor)
     return path, lambda: changed.save(path, quantised=small)
 
@@ -98,11 +93,8 @@ def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:
     file = viewer.file
     if file.path.suffix.lower() != ".h5":
         raise BadInput("O writes a splat file as it stands, +y up; then prepare that one.")
-    if np.abs(file.turn - np.eye(3)).max() < SAME and abs(file.factor - 1.0) < SAME:
-        raise BadInput(f"{file.path.stem} is already in its file as it is here.")
-    if file.path.resolve().is_relative_to(SHIPPED_FOLDER.resolve()):
-        raise BadInput(f"{file.path.stem} comes with the program: only a file of your own can be changed for good.")
     turn, factor = file.turn, file.factor
+    check_change(file.path, turn, factor)
     asset, small = Asset.load(file.path), is_quantised(file.path)
     changed = None if asset.environment is not None else asset.transformed(turn, factor)
 
@@ -114,6 +106,14 @@ def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:
         viewer.frame_kept(file.path, turn, factor)
 
     return file.path, write
+
+
+def check_change(path: Path, rotation: np.ndarray, factor: float) -> None:
+    """Raise BadInput if a file comes with the program, or if nothing would change in it."""
+    if path.resolve().is_relative_to(SHIPPED_FOLDER.resolve()):
+        raise BadInput(f"{path.stem} comes with the program: only what is your own can be changed for good.")
+    if np.abs(rotation - np.eye(3)).max() < SAME and abs(factor - 1.0) < SAME:
+        raise BadInput(f"{path.stem} is already in its file as it is here.")
 
 
 def body_of(world: World, k: int) -> Body:
@@ -135,8 +135,7 @@ def turn_since(asset: Asset, world: World, k: int) -> tuple[np.ndarray, float]:
     solver = world.device.solver
     model = solver.body_models[k]
     first, last = solver.vertex_offset[k : k + 2]
-    snapshot = solver.snapshot()
-    x = snapshot["x"][first:last].astype(np.float64)
+    x = solver.snapshot()["x"][first:last].astype(np.float64)
     if asset.cage is None or len(asset.cage.vertices) != len(x):
         raise BadInput("Its file has been prepared anew since: begin the play again.")
     rest = asset.cage.vertices.astype(np.float64)

@@ -111,12 +111,14 @@ def put_state(world: World, state: SceneState, where: str) -> None:
     registry, sources = world.registry, sources_of(world, state, where)
     models = tuple(model_of(body, sources, registry.source_models, where) for body in state.bodies)
     members = tuple(Member(sources[b.source], b.copy, b.material_name) for b in state.bodies)
-    animated = {k: registry.animation(m.source) for k, m in enumerate(members)}
+    animated = {k: registry.animated.get(m.source) for k, m in enumerate(members)}
     if sorted(a.body for a in state.animations) != [k for k, a in animated.items() if a is not None]:
         raise BadInput(f"{where}: its animations are not those of its bodies")
     animations = tuple(animated[a.body].placed_as(a) for a in state.animations)
     solver = dict(zip(MOTION, state.motion, strict=True))
-    solver |= {"bodies": models, "untangling": state.untangling, "grasps": hands_of(world, state)}
+    there = world.device.solver.snapshot()["grasps"]
+    fits = there is not None and state.hands is not None and len(there.grasps) == len(state.hands.grasps)
+    solver |= {"bodies": models, "untangling": state.untangling, "grasps": state.hands if fits else None}
     solver["asleep"] = np.array([body.asleep for body in state.bodies], bool)
     before = world.snapshot()
     game_before = None if game is None else dict(vars(game))
@@ -138,13 +140,6 @@ def put_state(world: World, state: SceneState, where: str) -> None:
     if settings.light is not None and settings.light != world.light:
         world.set_light(settings.light)
     world.wanted_view = (settings.eye, settings.target)
-
-
-def hands_of(world: World, state: SceneState):
-    """Grasps of the hands; None if the world has another number of hands."""
-    there = world.device.solver.snapshot()["grasps"]
-    fits = there is not None and state.hands is not None and len(there.grasps) == len(state.hands.grasps)
-    return state.hands if fits else None
 
 
 def try_game(world: World, values: dict, where: str) -> None:

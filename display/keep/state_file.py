@@ -15,7 +15,6 @@ piece of what joined; whether it is a copy |
 | motion/x, x_lo, v, v_lo | (V, 3) float32 | [m] and [m/s], in two parts (sim/state.py) |
 | animations/body, time, place | (A,) int32, float64, (A, 4, 4) float64 | [s] since its start; world_from_body |
 | hands/held, hands/count | (H,) int32 | body in each hand, -1: none; how many vertices it has taken |
-| hands/lost | (H,) float64 | [s] for which it has not been tracked |
 | hands/vertex, hands/position | (N,) int32, (N, 3) float64 | vertices taken, of all hands; [m] in the hand's frame |
 | hands/last | (H, 10) float64 | 1 if there was a hand, then position, rotation (wxyz), grip, reach |
 | hands/poses, hands/history | (H,) int32, (P, 8) float64 | poses kept of each hand: age [s], position, rotation |
@@ -39,7 +38,7 @@ import numpy as np
 
 from assets.file_access import atomic_write
 from assets.gaussians import MAGNITUDE_MAX
-from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
+from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, runs, write_dataset, write_text
 from core.material import Material
 from core.typed import Range, Size, to_json
 from core.vocabulary import Coordinate, Hand, Light, Point
@@ -51,6 +50,7 @@ from sim.state import MOTION
 
 FORMAT, VERSION = "vrgs-state", 1
 TIME_MAX = 1e9  # [s]
+FINITE = (-MAGNITUDE_MAX, MAGNITUDE_MAX)
 HANDS_MAX, POSES_MAX = 16, 1000
 MATERIAL_FIELDS = tuple(f.name for f in fields(Material))
 Seconds = Annotated[float, Range(0, TIME_MAX)]
@@ -144,21 +144,13 @@ def read_state(path: str | Path) -> SceneState:
         settings = file.json("", "settings", Settings)
         bodies = read_bodies(file, settings.material_names)
         count, vertices = len(bodies), sum(b.vertices for b in bodies)
-        motion = np.stack([finite(file, f"motion/{name}", (vertices, 3), np.float32) for name in MOTION])
-        untangling = finite(file, "bodies/untangling", (3, count))
-        if (untangling < 0).any() or (untangling > np.array([[DURATION], [1.0], [3.0]])).any():
+        motion = np.stack([file.floats(f"motion/{name}", (vertices, 3), within=FINITE) for name in MOTION])
+        untangling = file.floats("bodies/untangling", (3, count), np.float64, within=(0.0, DURATION + 3.0))
+        if (untangling > np.array([[DURATION], [1.0], [3.0]])).any():
             raise file.error("bodies/untangling holds values out of range")
         animations = read_animations(file, count)
         hands = read_hands(file, bodies) if file.has("hands") else None
     return SceneState(about, assets, added, bodies, motion, untangling, animations, hands, settings)
-
-
-def finite(file: Hdf5Reader, name: str, shape: tuple, dtype=np.float64) -> np.ndarray:
-    """A dataset of finite numbers, none beyond MAGNITUDE_MAX."""
-    values = file.floats(name, shape, dtype)
-    if not (np.abs(values) < MAGNITUDE_MAX).all():  # NaN compares false
-        raise file.error(f"{name} holds values out of range")
-    return values
 
 
 def read_bodies(file: Hdf5Reader, names: Sequence[str]) -> tuple[SavedBody, ...]:
@@ -167,28 +159,22 @@ def read_bodies(file: Hdf5Reader, names: Sequence[str]) -> tuple[SavedBody, ...]
     count = len(source)
     if count > MAX_BODIES or len(names) != count:
         raise file.error(f"claims {count} bodies, and names of {len(names)}; there may be {MAX_BODIES}")
-    copies, asleep = (file.indices(f"bodies/{name}", (count,), np.uint8) for name in ("copy", "asleep"))
-    vertices, size = file.indices("bodies/vertices", (count,)), finite(file, "bodies/size", (count,))
-    rows = file.floats("bodies/material", (count, len(MATERIAL_FIELDS)), np.float64)
-    if (size <= 0).any() or (size > 1e3).any():
-        raise file.error("bodies/size holds values out of range")
-    bodies = []
-    for k in range(count):
-        *numbers, kinetic = rows[k].tolist()
-        material = Material(*numbers, None if math.isnan(kinetic) else kinetic)
-        material.check(f"{file.path}: body {k}")
-        state = (int(vertices[k]), bool(asleep[k]))
-        bodies.append(SavedBody(int(source[k]), bool(copies[k]), float(size[k]), material, names[k], *state))
-    return tuple(bodies)
+    copies, asleep = (file.indices(f"bodies/{name}", (count,), np.uint8) != 0 for name in ("copy", "asleep"))
+    vertices = file.indices("bodies/vertices", (count,))
+    size = file.floats("bodies/size", (count,), np.float64, within=(1e-6, 1e3))
+    materials = []
+    for k, row in enumerate(file.floats("bodies/material", (count, len(MATERIAL_FIELDS)), np.float64).tolist()):
+        materials.append(Material(*row[:-1], None if math.isnan(row[-1]) else row[-1]))
+        materials[k].check(f"{file.path}: body {k}")
+    columns = (source.tolist(), copies.tolist(), size.tolist(), materials, names, vertices.tolist(), asleep.tolist())
+    return tuple(SavedBody(*row) for row in zip(*columns, strict=True))
 
 
 def read_animations(file: Hdf5Reader, bodies: int) -> tuple[SavedAnimation, ...]:
     """The animations of the first `bodies` bodies."""
-    body = file.indices("animations/body", (None,))
-    time = finite(file, "animations/time", (len(body),))
-    place = finite(file, "animations/place", (len(body), 4, 4))
-    if (body >= bodies).any() or (time < 0).any() or (time > TIME_MAX).any() or (np.abs(place) > 1e6).any():
-        raise file.error("animations hold values out of range")
+    body = file.indices("animations/body", (None,), high=bodies - 1)
+    time = file.floats("animations/time", (len(body),), np.float64, within=(0.0, TIME_MAX))
+    place = file.floats("animations/place", (len(body), 4, 4), np.float64, within=(-1e6, 1e6))
     if (place[:, 3] != [0, 0, 0, 1]).any() or (len(body) and np.abs(np.linalg.det(place)).min() < 1e-12):
         raise file.error("animations/place holds a transform that is not affine")
     return tuple(SavedAnimation(int(b), float(t), p) for b, t, p in zip(body, time, place, strict=True))
@@ -196,23 +182,22 @@ def read_animations(file: Hdf5Reader, bodies: int) -> tuple[SavedAnimation, ...]
 
 def read_hands(file: Hdf5Reader, bodies: tuple[SavedBody, ...]) -> GraspState:
     """Grasp and pose of each hand."""
-    held = file.array("hands/held", "iu", (None,)).astype(np.int64)
+    held = file.indices("hands/held", (None,), np.int64, low=-1, high=len(bodies) - 1)
     count = len(held)
-    if count > HANDS_MAX or (held < -1).any() or (held >= len(bodies)).any():
-        raise file.error("hands/held holds values out of range")
-    taken, poses = (file.indices(f"hands/{name}", (count,)) for name in ("count", "poses"))
-    if (poses > POSES_MAX).any():
-        raise file.error("hands/poses holds values out of range")
-    vertex = file.indices("hands/vertex", (int(taken.sum(dtype=np.int64)),), np.int64)
-    position = finite(file, "hands/position", (len(vertex), 3))
-    last = finite(file, "hands/last", (count, 10))
-    history = finite(file, "hands/history", (int(poses.sum(dtype=np.int64)), 8))
+    if count > HANDS_MAX:
+        raise file.error(f"claims {count} hands; there may be {HANDS_MAX}")
+    taken = file.indices("hands/count", (count,), np.int64, high=np.iinfo(np.int32).max)
+    poses = file.indices("hands/poses", (count,), np.int64, high=POSES_MAX)
+    vertex = file.indices("hands/vertex", (int(taken.sum()),), np.int64)
+    position = file.floats("hands/position", (len(vertex), 3), np.float64, within=FINITE)
+    last = file.floats("hands/last", (count, 10), np.float64, within=FINITE)
+    history = file.floats("hands/history", (int(poses.sum()), 8), np.float64, within=FINITE)
     if (history[:, 0] < 0).any():
         raise file.error("hands hold negative times")
     if not (np.linalg.norm(history[:, 4:], axis=1) > 1e-6).all():
         raise file.error("hands/history holds a quaternion of length 0")
     grasps, hands, histories = [], [], []
-    for h, (mine, own) in enumerate(zip(spans(taken), spans(poses), strict=True)):
+    for h, (mine, own) in enumerate(zip(runs(taken), runs(poses), strict=True)):
         body = int(held[h])
         if body < 0:
             grasps.append(None)
@@ -227,12 +212,6 @@ def read_hands(file: Hdf5Reader, bodies: tuple[SavedBody, ...]) -> GraspState:
         hands.append(hand)
         histories.append(tuple((row[0], tuple(row[1:])) for row in history[own].tolist()))
     return GraspState(tuple(grasps), tuple(hands), tuple(histories))
-
-
-def spans(counts: np.ndarray) -> list[slice]:
-    """Slices of consecutive runs of these lengths."""
-    ends = np.cumsum(counts, dtype=np.int64)
-    return [slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)]
 
 
 def write_state(path: str | Path, state: SceneState) -> None:

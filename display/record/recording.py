@@ -33,8 +33,6 @@ class Recording:
     def __init__(self, path: str | Path):
         self.path = Path(path)
         self.part = self.path.with_name(f"{self.path.name}.part")
-        if self.part.exists():
-            raise BadInput(f"{self.part} {why_it_is_there(self.part)}")
         check_writable(self.path)
         self.about: dict = {}
         self.frames = 0
@@ -45,9 +43,11 @@ class Recording:
         self._writer, self._closed = ThreadPoolExecutor(1), False
         self._blocks = 0  # in the journal
         try:
-            self._journal: Journal | None = Journal(self.part)  # another session may begin at this moment
+            self._journal: Journal | None = Journal(self.part)
         except FileExistsError as e:
-            raise BadInput(f"{self.part} {why_it_is_there(self.part)}") from e
+            why = "was left by an interrupted session: play it with --replay, or remove it"
+            why = "is being written by another session" if is_locked(self.part) else why
+            raise BadInput(f"{self.part} {why}") from e
         except OSError as e:
             raise BadInput(f"{self.path}: cannot be written ({reason_of(e)})") from e
 
@@ -156,13 +156,6 @@ class Recording:
             self._end()
 
 
-def why_it_is_there(part: Path) -> str:
-    """The reason why there is a journal already."""
-    if is_locked(part):
-        return "is being written by another session"
-    return "was left by an interrupted session: play it with --replay, or remove it"
-
-
 def packed_hand(hand: Hand | None) -> tuple[int, list[float]]:
     """Number of finger capsules of a hand, and its numbers; -1 for one with non-finite numbers, as for none."""
     if hand is None:
@@ -175,20 +168,19 @@ def packed_hand(hand: Hand | None) -> tuple[int, list[float]]:
 
 def about_play(args, world_options: dict) -> dict:
     """The options of the command and of the world, and where kernels run, as JSON."""
-    given = {key: getattr(args, key, None) for key in OPTIONS}
-    about = {key: value if value is None else plain(value) for key, value in given.items()}
+    about = {key: plain(getattr(args, key, None)) for key in OPTIONS}
     about["arch"] = running_arch()
     about["world"] = {key: value for key, value in world_options.items() if isinstance(value, (bool, str))}
     return about
 
 
 def plain(value):
-    """An option as a JSON value."""
+    """An option as a JSON value; a path is a text."""
     if isinstance(value, dict):
         return {key: plain(v) for key, v in value.items()}
     if isinstance(value, list):
         return [plain(v) for v in value]
-    return value if isinstance(value, (bool, int, float)) else str(value)
+    return value if value is None or isinstance(value, (bool, int, float)) else str(value)
 
 
 def numbers_of(camera: Camera) -> list[float]:

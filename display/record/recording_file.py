@@ -20,8 +20,8 @@ recording up to its last whole block: `--replay FILE.part` plays it.
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -29,10 +29,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import h5py
 import numpy as np
 
 from assets.file_access import atomic_write, file_size, open_input
-from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
+from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, runs, write_dataset, write_text
 from core.camera import Camera
 from core.errors import BadInput
 from core.typed import Range, Size, field_types, from_json, from_plain
@@ -48,7 +49,8 @@ HEADER_MAX = 4096  # [bytes] of the line before a block
 CAMERA_SIZE = 22  # numbers of a camera
 MAX_FRAME_DT = 10.0  # [s]
 HANDS_MAX, CAMERAS_MAX, SIDE_MAX = 16, 2, 16384  # of a frame; [px]
-TOUCHES_MAX = 1000  # finger capsules of a hand
+TOUCHES_MAX, BODIES_MAX = 1000, 1_000_000  # finger capsules of a hand; bodies of a state
+NUMBER_MAX = sys.float_info.max  # finite
 Text = Annotated[str, Size(4096)]
 Vertices = Annotated[int, Range(1, 1e9)]
 Interaction, Embedding = Literal["physics", "transform"], Literal["two-level", "one-level"]
@@ -128,85 +130,61 @@ def is_locked(path: Path) -> bool:
     return False
 
 
-class JournalReader:
-    """A journal, read like the HDF5 file that is made of it. Raises BadInput."""
-
-    def __init__(self, path: Path):
-        self.path = path
-        self._blocks: list[tuple[int, dict[str, int]]] = []  # where the bytes of each begin, how many each column has
-        size = file_size(path)
-        with open_input(path) as file:
-            file.seek(len(JOURNAL))
-            while (header := file.readline(HEADER_MAX)).endswith(b"\n"):
-                lengths = from_json(Header, header, f"{path}: block {len(self._blocks)}")
-                if file.tell() + sum(lengths.values()) > size:
-                    break  # the program ended while it wrote this one
-                self._blocks.append((file.tell(), lengths))
-                file.seek(sum(lengths.values()), os.SEEK_CUR)
-
-    def error(self, defect: str) -> BadInput:
-        """The error to raise."""
-        return BadInput(f"{self.path}: {defect}")
-
-    def number(self, name: str, key: str) -> float:
-        """The version, which is the only number."""
-        return VERSION
-
-    def text(self, name: str, key: str) -> str:
-        """The text `about` or `format`."""
-        return FORMAT if key == "format" else self.column(key).tobytes().decode(errors="replace")
-
-    def column(self, name: str) -> np.ndarray:
-        """All rows of a column."""
-        shape, dtype = COLUMNS[name]
-        parts = []
-        with open(self.path, "rb") as file:
-            for at, lengths in self._blocks:
-                keys = list(lengths)
-                if name in keys:
-                    file.seek(at + sum(lengths[key] for key in keys[: keys.index(name)]))
-                    parts.append(file.read(lengths[name]))
-        content = b"".join(parts)
-        if len(content) % (np.dtype(dtype).itemsize * int(np.prod(shape))):
-            raise self.error(f"{name} ends within a row")
-        return np.frombuffer(content, dtype).reshape(-1, *shape)
-
-    def array(self, name: str, kind: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """A column of `kind` "f" or "iu", of a shape in which None stands for any length."""
-        rows = self.column(name)
-        if any(side not in (None, n) for side, n in zip(shape, rows.shape, strict=True)):
-            raise self.error(f"{name} has shape {rows.shape}, expected {shape}")
-        return rows
-
-
-@contextmanager
-def open_recording(path: Path) -> Iterator[Hdf5Reader | JournalReader]:
-    """Open a recording or a journal for reading. Raises BadInput."""
+def read_journal(path: Path) -> dict[str, np.ndarray]:
+    """The columns of a journal up to its last whole block. Raises BadInput."""
+    parts: dict[str, list[bytes]] = {name: [] for name in COLUMNS}
+    size, blocks = file_size(path), 0
     with open_input(path) as file:
-        is_journal = file.read(len(JOURNAL)) == JOURNAL
-    if is_journal:
-        yield JournalReader(path)
-    else:
-        with open_hdf5(path) as reader:
-            yield reader
+        file.seek(len(JOURNAL))
+        while (header := file.readline(HEADER_MAX)).endswith(b"\n"):
+            lengths = from_json(Header, header, f"{path}: block {blocks}")
+            if file.tell() + sum(lengths.values()) > size:
+                break  # the program ended while it wrote this one
+            for name, length in lengths.items():
+                parts[name].append(file.read(length))
+            blocks += 1
+    columns = {}
+    for name, (shape, dtype) in COLUMNS.items():
+        content = b"".join(parts.pop(name))
+        if len(content) % (np.dtype(dtype).itemsize * int(np.prod(shape))):
+            raise BadInput(f"{path}: {name} ends within a row")
+        columns[name] = np.frombuffer(content, dtype).reshape(-1, *shape)
+    return columns
+
+
+def fill_recording(file: h5py.File, columns: Mapping[str, np.ndarray]) -> None:
+    """Out: the file of the columns of a journal."""
+    write_text(file, "format", FORMAT)
+    write_text(file, "about", columns["about"].tobytes().decode(errors="replace"))
+    file.attrs["version"] = VERSION
+    for name, (shape, dtype) in DATASETS.items():
+        if len(columns[name]):
+            write_dataset(file, name, columns[name], dtype)
+        else:
+            file.create_dataset(name, (0, *shape), dtype)
 
 
 def write_recording(path: Path, journal: Path) -> None:
     """Make the recording of a journal, whole or not at all. Raises BadInput."""
-    reader = JournalReader(journal)
+    columns = read_journal(journal)
     with atomic_write(path) as beside, new_hdf5(beside) as file:
-        write_text(file, "format", FORMAT)
-        write_text(file, "about", reader.text("", "about"))
-        file.attrs["version"] = VERSION
-        for name, (shape, dtype) in DATASETS.items():
-            rows = reader.column(name)
-            if len(rows):
-                write_dataset(file, name, rows, dtype)
-            else:
-                file.create_dataset(name, (0, *shape), dtype)
+        fill_recording(file, columns)
 
 
-Reader = Hdf5Reader | JournalReader
+@contextmanager
+def open_recording(path: Path) -> Iterator[Hdf5Reader]:
+    """Open a recording for reading, or the one that is made of a journal, in memory. Raises BadInput."""
+    with open_input(path) as file:
+        is_journal = file.read(len(JOURNAL)) == JOURNAL
+    if not is_journal:
+        with open_hdf5(path) as reader:
+            yield reader
+        return
+    image = io.BytesIO()
+    with h5py.File(image, "w") as file:
+        fill_recording(file, read_journal(path))
+    with h5py.File(image, "r") as file:
+        yield Hdf5Reader(path, file, image.getbuffer().nbytes)
 
 
 @dataclass(frozen=True)
@@ -256,33 +234,14 @@ def checked_about(text: str, where: str) -> dict:
     return about
 
 
-def finite(
-    file: Reader, name: str, shape: tuple = (None,), *, low: float = -np.inf, high: float = np.inf
-) -> np.ndarray:
-    """A dataset of floats within bounds."""
-    values = file.array(name, "f", shape).astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        if not (np.isfinite(values) & (values >= low) & (values <= high)).all():
-            raise file.error(f"{name} holds values out of range")
-    return values
-
-
-def counts(file: Reader, name: str, most: int, length: int | None = None, *, least: int = 0) -> np.ndarray:
-    """A dataset of integers, `least` to `most`."""
-    values = file.array(name, "iu", (length,)).astype(np.int64)
-    if len(values) and (values.min() < least or values.max() > most):
-        raise file.error(f"{name} holds values out of range")
-    return values
-
-
-def read_frames(file: Reader) -> list[Frame]:
+def read_frames(file: Hdf5Reader) -> list[Frame]:
     """All frames, checked."""
-    dt = finite(file, "frames/dt", low=0.0, high=MAX_FRAME_DT)
+    dt = file.floats("frames/dt", (None,), np.float64, within=(0.0, MAX_FRAME_DT))
     count = len(dt)
-    time = finite(file, "frames/time", (count,), low=0.0)
-    step = finite(file, "frames/step", (count,), low=0.0, high=MAX_FRAME_DT)
-    hands = read_hands(file, counts(file, "frames/hands", HANDS_MAX, count))
-    cameras = read_cameras(file, counts(file, "frames/cameras", CAMERAS_MAX, count))
+    time = file.floats("frames/time", (count,), np.float64, within=(0.0, NUMBER_MAX))
+    step = file.floats("frames/step", (count,), np.float64, within=(0.0, MAX_FRAME_DT))
+    hands = read_hands(file, file.indices("frames/hands", (count,), np.int64, high=HANDS_MAX))
+    cameras = read_cameras(file, file.indices("frames/cameras", (count,), np.int64, high=CAMERAS_MAX))
     commands = read_commands(file, count)
     return [
         Frame(float(dt[k]), float(time[k]), cameras[k], hands[k], commands.get(k, []), max_step=float(step[k]) or None)
@@ -290,19 +249,17 @@ def read_frames(file: Reader) -> list[Frame]:
     ]
 
 
-def read_hands(file: Reader, per_frame: np.ndarray) -> list[list]:
+def read_hands(file: Hdf5Reader, per_frame: np.ndarray) -> list[list[Hand | None]]:
     """The hands of each frame."""
     count = int(per_frame.sum())
     if file.number("", "version") < 4:
         touches = touches_by_layouts(file, count)
     else:
-        touches = counts(file, "hands/touches", TOUCHES_MAX, count, least=-1)
+        touches = file.indices("hands/touches", (count,), np.int64, low=-1, high=TOUCHES_MAX)
     sizes = np.where(touches < 0, 0, 9 + 7 * touches)
-    numbers = finite(file, "hands/numbers", (int(sizes.sum()),))
-    firsts = np.cumsum(sizes) - sizes
-    hands = [hand_of(int(n), numbers[k : k + size]) for n, k, size in zip(touches, firsts, sizes, strict=True)]
-    ends = np.cumsum(per_frame)
-    return [hands[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
+    numbers = file.floats("hands/numbers", (int(sizes.sum()),), np.float64, within=(-NUMBER_MAX, NUMBER_MAX))
+    hands = [hand_of(int(n), numbers[run]) for n, run in zip(touches, runs(sizes), strict=True)]
+    return [hands[run] for run in runs(per_frame)]
 
 
 def hand_of(touches: int, x: np.ndarray) -> Hand | None:
@@ -314,7 +271,7 @@ def hand_of(touches: int, x: np.ndarray) -> Hand | None:
     return Hand(tuple(x[:3]), tuple(x[3:7]), bool(x[7]), x[8], capsules)
 
 
-def touches_by_layouts(file: Reader, count: int) -> np.ndarray:
+def touches_by_layouts(file: Hdf5Reader, count: int) -> np.ndarray:
     """Finger capsules of each hand until version 3, where a hand names one of the layouts of the file: "n", no hand, or
     {"c": "Hand", "f": {..., "touch": ["t", number of capsules, ...]}}."""
     touches = []
@@ -327,29 +284,27 @@ def touches_by_layouts(file: Reader, count: int) -> np.ndarray:
         if type(number) is not int or not -1 <= number <= TOUCHES_MAX:
             raise file.error("a layout is not that of a hand")
         touches.append(number)
-    which = counts(file, "hands/layout", max(len(touches) - 1, 0), count)
+    which = file.indices("hands/layout", (count,), np.int64, high=max(len(touches) - 1, 0))
     if len(which) and not touches:
         raise file.error("its layouts are missing")
     return np.array(touches, np.int64)[which] if touches else which
 
 
-def read_cameras(file: Reader, per_frame: np.ndarray) -> list[list[Camera]]:
+def read_cameras(file: Hdf5Reader, per_frame: np.ndarray) -> list[list[Camera]]:
     """The cameras of each frame."""
-    values = finite(file, "cameras/values", (int(per_frame.sum()), CAMERA_SIZE), low=-1e9, high=1e9)
+    values = file.floats("cameras/values", (int(per_frame.sum()), CAMERA_SIZE), np.float64, within=(-1e9, 1e9))
     sides, focal = values[:, :2], values[:, 2:4]
     if len(values) and not (sides.min() >= 1 and sides.max() <= SIDE_MAX and focal.min() > 0):
         raise file.error("cameras/values holds a camera out of range")
     cameras = [Camera(int(v[0]), int(v[1]), *v[2:6].tolist(), v[6:].reshape(4, 4)) for v in values]
-    ends = np.cumsum(per_frame)
-    return [cameras[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
+    return [cameras[run] for run in runs(per_frame)]
 
 
-def read_commands(file: Reader, count: int) -> dict[int, list[Command]]:
+def read_commands(file: Hdf5Reader, count: int) -> dict[int, list[Command]]:
     """The commands of the frames that have some."""
     commands = {}
-    text = file.array("commands/text", "iu", (None,)).astype(np.uint8).tobytes()
     try:
-        lines = text.decode().splitlines()
+        lines = file.indices("commands/text", (None,), np.uint8).tobytes().decode().splitlines()
     except UnicodeDecodeError as e:
         raise file.error("commands/text is no text") from e
     for line in lines:
@@ -360,10 +315,9 @@ def read_commands(file: Reader, count: int) -> dict[int, list[Command]]:
     return commands
 
 
-def read_states(file: Reader, frames: int) -> dict[int, np.ndarray]:
+def read_states(file: Hdf5Reader, frames: int) -> dict[int, np.ndarray]:
     """Centroids (B, 3) of the bodies, by the frame after which they were recorded."""
-    where = counts(file, "states/frame", max(frames - 1, 0))
-    per_state = counts(file, "states/count", 1_000_000, len(where))
-    centroids = file.array("states/centroids", "f", (int(per_state.sum()), 3)).astype(np.float64)
-    ends = np.cumsum(per_state)
-    return {int(k): centroids[end - n : end] for k, end, n in zip(where, ends, per_state, strict=True)}
+    where = file.indices("states/frame", (None,), np.int64, high=max(frames - 1, 0))
+    per_state = file.indices("states/count", (len(where),), np.int64, high=BODIES_MAX)
+    centroids = file.floats("states/centroids", (int(per_state.sum()), 3), np.float64)
+    return {int(k): centroids[run] for k, run in zip(where, runs(per_state), strict=True)}

@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 
 from assets.file_access import atomic_write, check_writable, locked
-from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
+from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, runs, write_dataset, write_text
 from core.errors import BadInput
 from core.typed import Size, from_json, to_json
 from display.protocol import Frame, WorldView
@@ -36,8 +36,9 @@ from display.study.trial import MIXED, SETTINGS, Trial, TrialMeter
 from display.user_commands import PlayDemo, Reset, last_of
 
 FORMAT, VERSION = "vrgs-study", 1
-FLOATS = ("seconds", "first_grip", "goal", "hand_path", "body_path")
+MEASURED, OPTIONAL = ("seconds", "hand_path", "body_path"), ("first_grip", "goal")
 INTEGERS = ("completed", "grips", "throws", "frames")
+SCORES = ("time", "value")  # columns
 NUMBER_MAX = 1e12  # of seconds, metres and scores: what is computed of them stays finite
 MIN_SECONDS = 1.0  # a shorter trial without any grip was none
 Text = Annotated[str, Size(TEXT_MAX)]
@@ -88,40 +89,28 @@ def read_trials(file: Hdf5Reader) -> list[Trial]:
     """The trials of an open file."""
     texts = json_lines(file, "trials/text", TrialText)
     count = (len(texts),)
-    floats = {name: file.floats(f"trials/{name}", count, np.float64) for name in FLOATS}
-    integers = {name: file.indices(f"trials/{name}", count, np.int64) for name in (*INTEGERS, "scores")}
-    scores = np.stack([file.floats(f"scores/{name}", (None,), np.float64) for name in ("time", "value")], axis=1)
-    ends = np.cumsum(integers["scores"])
-    required = np.stack([floats[name] for name in ("seconds", "hand_path", "body_path")])
-    others = np.concatenate([scores.ravel(), *(floats[name] for name in ("first_grip", "goal"))])
-    sound = (
-        (required >= 0).all() and np.isfinite(scores).all() and (np.abs(others[~np.isnan(others)]) < NUMBER_MAX).all()
-    )
-    if not (sound and (required < NUMBER_MAX).all()):  # NaN compares false
-        raise file.error(f"a number of a trial is not finite, negative, or beyond {NUMBER_MAX:g}")
-    if (ends[-1] if len(ends) else 0) != len(scores):
+    read = {name: file.floats(f"trials/{name}", count, np.float64, within=(0.0, NUMBER_MAX)) for name in MEASURED}
+    read |= {name: file.floats(f"trials/{name}", count, np.float64) for name in OPTIONAL}
+    read |= {name: file.indices(f"trials/{name}", count, np.int64) for name in INTEGERS}
+    read["completed"] = read["completed"] != 0
+    sizes = file.indices("trials/scores", count, np.int64)
+    columns = (file.floats(f"scores/{c}", (None,), np.float64, within=(-NUMBER_MAX, NUMBER_MAX)) for c in SCORES)
+    scores = np.stack(list(columns), axis=1)
+    if any((np.abs(read[name]) > NUMBER_MAX).any() for name in OPTIONAL):  # NaN compares false
+        raise file.error(f"a number of a trial is beyond {NUMBER_MAX:g}")
+    if sizes.sum() != len(scores):
         raise file.error("the scores do not belong to the trials")
-    trials = []
-    for k, text in enumerate(texts):
-        trial = Trial(**vars(text), scores=scores[ends[k] - integers["scores"][k] : ends[k]])
-        for name, values in (floats | integers).items():
-            if name != "scores":
-                setattr(trial, name, values[k].item())
-        trial.completed = bool(trial.completed)
-        trials.append(trial)
-    return trials
+    return [
+        Trial(**vars(text), **{name: values[k].item() for name, values in read.items()}, scores=scores[run])
+        for k, (text, run) in enumerate(zip(texts, runs(sizes), strict=True))
+    ]
 
 
 def read_answers(file: Hdf5Reader) -> list[Answers]:
     """The answers of an open file."""
     texts = json_lines(file, "answers/text", AnswersText)
-    values = file.indices("answers/values", (len(texts), len(QUESTIONS)), np.int64)
-    if values.size and values.max() > SCALE:
-        raise file.error(f"an answer is greater than {SCALE}")
-    return [
-        Answers(text.participant, text.setting, tuple(row.tolist()), text.comment, text.started)
-        for text, row in zip(texts, values, strict=True)
-    ]
+    values = file.indices("answers/values", (len(texts), len(QUESTIONS)), np.int64, high=SCALE)
+    return [Answers(values=tuple(row), **vars(text)) for text, row in zip(texts, values.tolist(), strict=True)]
 
 
 def json_lines(file: Hdf5Reader, name: str, kind: type[T]) -> list[T]:
@@ -140,16 +129,15 @@ def write_study(path: str | Path, study: Study) -> None:
         with new_hdf5(beside) as file:
             write_text(file, "format", FORMAT)
             file.attrs["version"] = VERSION
-            for name in FLOATS:
-                write_dataset(file, f"trials/{name}", [getattr(t, name) for t in trials], np.float64)
-            for name in INTEGERS:
-                write_dataset(file, f"trials/{name}", [getattr(t, name) for t in trials], np.int64)
+            for names, kind in ((MEASURED + OPTIONAL, np.float64), (INTEGERS, np.int64)):
+                for name in names:
+                    write_dataset(file, f"trials/{name}", [getattr(t, name) for t in trials], kind)
             write_dataset(file, "trials/scores", [len(t.scores) for t in trials], np.int64)
             for name, lines in (("trials/text", about), ("answers/text", said)):
                 text = "".join(f"{to_json(line)}\n" for line in lines)
                 write_dataset(file, name, np.frombuffer(text.encode(), np.uint8), np.uint8)
-            for name, column in (("scores/time", 0), ("scores/value", 1)):
-                write_dataset(file, name, scores[:, column], np.float64)
+            for name, column in zip(SCORES, scores.T, strict=True):
+                write_dataset(file, f"scores/{name}", column, np.float64)
             rows = np.array([a.values for a in answers], np.int64).reshape(-1, len(QUESTIONS))
             write_dataset(file, "answers/values", rows, np.int64)
         with open(beside, "rb") as file:

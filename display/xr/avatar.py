@@ -16,7 +16,7 @@ from core.vocabulary import BodyState
 from display.edit import selection_marker
 from display.xr.actions import FINGER_LENGTH, Controller
 from display.xr.hand_joints import BONE_ENDS, FINGERS, JOINT_COUNT, PALM, WRIST, HandJoints, posed
-from display.xr.poses import pose_matrix
+from display.xr.poses import pose_matrix, rotation_facing
 from render.skinned_props import Skin
 
 MODELS = Path(__file__).with_name("avatar.npz")
@@ -72,10 +72,8 @@ def show_hand(poses: np.ndarray, h: int, c: Controller, world_from_play: np.ndar
 def show_ray(poses: np.ndarray, start: np.ndarray, end: np.ndarray) -> None:
     """Out: the ray from start (3,) to a place on the floor (3,) [m], and the target there."""
     length = max(float(np.linalg.norm(end - start)), 1e-6)
-    back = (start - end) / length
-    side = np.cross((0.0, 1.0, 0.0), back)
-    side = side / np.linalg.norm(side) if np.linalg.norm(side) > 1e-6 else np.array([1.0, 0.0, 0.0])
-    poses[RAY] = np.column_stack([side, np.cross(back, side), length * back, start])
+    facing = rotation_facing((start - end) / length, (0.0, 1.0, 0.0), np.array([1.0, 0.0, 0.0]))
+    poses[RAY] = np.column_stack([facing * [1.0, 1.0, length], start])
     poses[TARGET] = np.column_stack([np.eye(3), end + [0.0, TARGET_HEIGHT, 0.0]])
 
 
@@ -87,13 +85,11 @@ def show_corners(poses: np.ndarray, body: BodyState) -> None:
         poses[CORNERS + k] = np.column_stack([np.diag(-signs * sides), at[k]])
 
 
-def skinning_transforms(joints: HandJoints | None, *, left: bool) -> np.ndarray:
-    """Transform (26, 3, 4) of the skin by each joint, from the bind pose to `joints`; NaN, hidden, if None.
+def skinning_transforms(joints: HandJoints, *, left: bool) -> np.ndarray:
+    """Transform (26, 3, 4) of the skin by each joint, from the bind pose to `joints`.
 
     A bone of another length or thickness than the model's stretches its skin.
     """
-    if joints is None:
-        return np.full((JOINT_COUNT, 3, 4), np.nan)
     bind, thickness, length = bind_pose(left)
     a, b = BONE_ENDS
     scale = np.ones((JOINT_COUNT, 3))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from display.xr.poses import pose_matrix
+from display.xr.poses import pose_matrix, rotation_facing
 
 PALM, WRIST, JOINT_COUNT = 0, 1, 26
 FINGERS = (range(2, 6), range(6, 11), range(11, 16), range(16, 21), range(21, 26))  # thumb first, tips last
@@ -75,9 +75,7 @@ class HandJoints:
         forward = knuckle - self.position[WRIST]
         length = np.linalg.norm(forward)
         back = -forward / length if length > 1e-6 else palm[:, 2]
-        side = np.cross(palm[:, 1], back)
-        side = side / np.linalg.norm(side) if np.linalg.norm(side) > 1e-3 else palm[:, 0]
-        return pose_matrix(knuckle, np.column_stack([side, np.cross(back, side), back]))
+        return pose_matrix(knuckle, rotation_facing(back, palm[:, 1], palm[:, 0]))
 
 
 def posed(bends=RELAXED, *, left: bool = False) -> HandJoints:
@@ -115,9 +113,6 @@ def rotation_about(axis, angle: float) -> np.ndarray:
     return Rotation.from_rotvec(angle * np.asarray(axis, np.float64) / np.linalg.norm(axis)).as_matrix()
 
 
-def rotation_along(direction) -> np.ndarray:
+def rotation_along(direction: np.ndarray) -> np.ndarray:
     """Rotation matrix (3, 3) whose -z is this direction, its y as near to up as can be."""
-    back = -np.asarray(direction, np.float64) / np.linalg.norm(direction)
-    side = np.cross((0.0, 1.0, 0.0), back)
-    side /= np.linalg.norm(side)
-    return np.column_stack([side, np.cross(back, side), back])
+    return rotation_facing(-direction / np.linalg.norm(direction), (0.0, 1.0, 0.0))

@@ -11,18 +11,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from core.camera import Camera
-from core.rotation import interpolate_quaternions, matrices_from_quaternions, quaternions_from_matrices
+from core.rotation import interpolate_quaternions, matrices_from_quaternions, pose_matrix, quaternions_from_matrices
 
 ARM_LENGTH = 0.6  # [m] that a hand reaches over a table
 MAX_STEP_AHEAD = 0.25  # [m] that a player begins nearer than the scene's eye: a table may stand there
 VIEW_TO_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def pose_matrix(position, rotation) -> np.ndarray:
-    """(4, 4) of a position (3,) and a rotation matrix (3, 3)."""
-    m = np.eye(4)
-    m[:3, :3], m[:3, 3] = rotation, position
-    return m
+def rotation_facing(back: np.ndarray, up, side=None) -> np.ndarray:
+    """Rotation (3, 3) whose z is the unit vector `back`, its y as near to `up` as can be.
+
+    side  its x where `back` and `up` are parallel
+    """
+    x = np.cross(up, back)
+    length = np.linalg.norm(x)
+    x = x / length if length > 1e-3 else side
+    return np.column_stack([x, np.cross(back, x), back])
 
 
 def matrix_of(pose) -> np.ndarray:

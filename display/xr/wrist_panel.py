@@ -36,7 +36,7 @@ from display.protocol import WorldView
 from display.user_commands import Command
 from display.xr.actions import PRESS_ABOVE, RELEASE_BELOW, Controller
 from display.xr.hand_joints import INDEX_TIP, PALM
-from display.xr.poses import pose_matrix, position_rotation
+from display.xr.poses import pose_matrix, position_rotation, rotation_facing
 from display.xr.swapchains import ColourTarget, set_sub_image
 
 PIXELS = (800, 512)  # (width, height)
@@ -100,29 +100,25 @@ def scene_requests() -> dict[str, user_commands.OpenScene]:
 
 
 @cache
-def pages() -> dict[str, list[WristButton]]:
-    """Buttons by page: "" is the first, "scenes", "scenes 2" and so on list the scenes."""
-    found, names, k = {"": BUTTONS}, list(scene_requests()), 1
-    while names:
-        rest = names[SCENES_A_PAGE:]
-        shown = [*names[:SCENES_A_PAGE], *([MORE] if rest else []), BACK]
+def pages() -> list[list[WristButton]]:
+    """The buttons of each page: the first one, then those that list the scenes."""
+    names, found = list(scene_requests()), [BUTTONS]
+    for first in range(0, len(names), SCENES_A_PAGE):
+        last = first + SCENES_A_PAGE >= len(names)
+        shown = [*names[first : first + SCENES_A_PAGE], *([] if last else [MORE]), BACK]
         rows = [shown[i : i + SCENE_COLUMNS] for i in range(0, len(shown), SCENE_COLUMNS)]
-        found["scenes" if k == 1 else f"scenes {k}"] = button_rows(rows, SCENE_COLUMNS)
-        names, k = rest, k + 1
+        found.append(button_rows(rows, SCENE_COLUMNS))
     return found
 
 
-def page_after(page: str, button: str) -> str:
+def page_after(page: int, button: str) -> int:
     """The page to show once a button of a page was pressed."""
-    if button == SCENES and "scenes" in pages():
-        return "scenes"
-    if button == MORE:
-        order = list(pages())
-        return order[order.index(page) + 1]
-    return ""
+    if button == SCENES:
+        return min(1, len(pages()) - 1)
+    return page + 1 if button == MORE else 0
 
 
-def button_at(u: float, v: float, page: str = "") -> WristButton | None:
+def button_at(u: float, v: float, page: int) -> WristButton | None:
     """The button at a point of the panel [px]."""
     for button in pages()[page]:
         x, y, w, h = button.box
@@ -134,11 +130,9 @@ def button_at(u: float, v: float, page: str = "") -> WristButton | None:
 def panel_pose(hand: np.ndarray, head: np.ndarray) -> np.ndarray:
     """(4, 4) of the panel, x to its right, y up, z to the eyes, over a hand (4, 4); all in the play space."""
     centre = hand[:3, 3] + [0.0, HEIGHT_OVER_HAND, 0.0]
-    z = head[:3, 3] - centre
-    z = z / max(np.linalg.norm(z), 1e-6)
-    x = np.cross([0.0, 1.0, 0.0], z)
-    x = x / np.linalg.norm(x) if np.linalg.norm(x) > 1e-3 else head[:3, 0]
-    return pose_matrix(centre, np.column_stack([x, np.cross(z, x), z]))
+    to_eyes = head[:3, 3] - centre
+    to_eyes = to_eyes / max(np.linalg.norm(to_eyes), 1e-6)
+    return pose_matrix(centre, rotation_facing(to_eyes, (0.0, 1.0, 0.0), head[:3, 0]))
 
 
 def project_to_panel(panel: np.ndarray, point: np.ndarray) -> tuple[float, float, float]:
@@ -187,7 +181,7 @@ class WristPanel:
         self.pinned = self.clicked = self.placing = False
         self.pose: np.ndarray | None = None
         self.hovered: WristButton | None = None
-        self.page = ""
+        self.page = 0
         self.described = Panel()
         self._facing = self._trigger = self._captured = False
         self._trigger_places = False  # the light stays where it is when the trigger is released
@@ -297,7 +291,7 @@ class PanelContent:
     rate: str = ""
     lit: frozenset = frozenset()  # names of the buttons that are on
     hovered: str | None = None
-    page: str = ""
+    page: int = 0
 
     @classmethod
     def of(cls, world: WorldView, panel: WristPanel) -> PanelContent:

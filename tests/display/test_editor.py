@@ -423,9 +423,9 @@ def test_the_oldest_steps_are_forgotten_and_a_new_action_ends_what_could_be_done
     for k in range(20):
         history.add(Step("set", k))
     assert [step.state for step in history.done] == [15, 16, 17, 18, 19]
-    assert history.back(lambda step: Step(step.action, 20)).state == 19 and len(history.undone) == 1
+    assert history.back(lambda action: Step(action, 20)).state == 19 and len(history.undone) == 1
     history.add(Step("set", 7))
-    assert history.undone == [] and history.forth(lambda step: step) is None
+    assert history.undone == [] and history.forth(Step) is None
 
 
 def test_steps_that_take_too_much_are_forgotten_but_what_is_shared_counts_once():

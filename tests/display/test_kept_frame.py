@@ -68,7 +68,7 @@ def test_a_shipped_body_stays_as_it_is(own):
     with pytest.raises(BadInput, match="comes with the program"):
         frame_writer(world, 1)
     with pytest.raises(BadInput, match="Take hold of something"):
-        world.editor.deselect()
+        world.editor.selected = None
         frame_writer(world, None)
 
 

@@ -246,10 +246,10 @@ def test_its_picture_is_readable_and_says_what_is_on():
 
 def test_scenes_are_listed_on_pages_of_their_own():
     """Each is a button that opens it; "Back" leads to the first page."""
-    page, seen = wrist_panel.page_after("", "Scenes"), []
+    page, seen = wrist_panel.page_after(0, "Scenes"), []
     while page:
         names = [b.name for b in wrist_panel.pages()[page]]
-        assert names[-1] == "Back" and wrist_panel.page_after(page, "Back") == ""
+        assert names[-1] == "Back" and wrist_panel.page_after(page, "Back") == 0
         for b in wrist_panel.pages()[page]:
             x, y, w, h = b.box
             assert x + w <= wrist_panel.PIXELS[0] and y + h <= wrist_panel.PIXELS[1]
@@ -257,9 +257,8 @@ def test_scenes_are_listed_on_pages_of_their_own():
             wrist_panel.scene_requests()[b.name] for b in wrist_panel.pages()[page] if b.name not in ("More", "Back")
         ]
         seen += [(r.name, *r.options.values()) for r in requests]
-        page = wrist_panel.page_after(page, "More") if "More" in names else ""
+        page = wrist_panel.page_after(page, "More") if "More" in names else 0
     assert {("ring_toss",), ("manipulation", "bear"), ("manipulation", "fox")} <= set(seen)
     assert (
-        wrist_panel.paint(wrist_panel.PanelContent(page="scenes")).shape
-        == wrist_panel.paint(wrist_panel.PanelContent()).shape
+        wrist_panel.paint(wrist_panel.PanelContent(page=1)).shape == wrist_panel.paint(wrist_panel.PanelContent()).shape
     )

@@ -176,6 +176,15 @@ class Hdf5Reader:
         """The value of this type (core/typed.py) that a text holds as JSON."""
         return from_json(kind, self.text(name, key), f"{self.path}: {key}")
 
+    def check_format(self, name: str, what: str, newest: int) -> int:
+        """The version of a file of this format. Raises BadInput if it is another one, or newer than is known."""
+        if self.text("", "format") != name:
+            raise self.error(f"is not {what} of VR-GS")
+        version = self.number("", "version")
+        if version not in range(1, newest + 1):
+            raise self.error(f"is {what} of version {version:g}; this program knows 1 to {newest}")
+        return int(version)
+
     def _text_attribute(self, name: str, key: str, where: str) -> bytes:
         """The content of an attribute with a text of fixed length, or of variable length as in older files."""
         node = self._find(name) if name else self._file

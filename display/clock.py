@@ -1,14 +1,13 @@
 """Clock of the world in a headset: the simulation advances to the time at which the picture will be seen.
 
-A runtime predicts when a frame will be displayed. The world is simulated up to that time, however many frames were
-missed, in equal steps no longer than the display's period (or MAX_STEP, if that is shorter). No time is left over for
-an interpolation of states, which would cost a copy of all vertices and show held bodies up to a step behind the hand.
+The world is simulated up to the predicted time of display, however many frames were missed, in equal steps no longer
+than the display's period (or MAX_STEP). No time is left over for an interpolation of states, which would cost a copy of
+all vertices and show held bodies up to a step behind the hand.
 
-Rule for slow machines: a frame catches up with all the time that has passed, but with no more than
-max(MIN_CATCH_UP, CATCH_UP_TIME (1 - cost)), where `cost` is the number of seconds that it takes to simulate one.
-Catching up with a gap g takes cost g, during which cost g more passes, and so on: g / (1 - cost) in all. So every gap
-is closed within CATCH_UP_TIME, and where simulation is slower than real time (cost >= 1) a frame never takes on more
-than MIN_CATCH_UP and the world runs slower instead. The remaining time is dropped, and counted in `dropped`.
+On a slow machine a frame catches up with no more than max(MIN_CATCH_UP, CATCH_UP_TIME (1 - cost)), where `cost` is the
+number of seconds that it takes to simulate one. Catching up with a gap g takes cost g, during which cost g more passes,
+and so on: g / (1 - cost) in all. So every gap is closed within CATCH_UP_TIME, and where cost >= 1 the world is slower.
+The remaining time is dropped, and counted in `dropped`.
 """
 
 from __future__ import annotations
@@ -84,8 +83,8 @@ def caught_up(seconds: float, cost: float | None) -> tuple[float, float]:
 class SimulationCost:
     """Seconds of computing for a second of simulation: the median of the last frames, robust against a single hitch."""
 
-    def __init__(self, count: int = 9):
-        self._samples: deque[float] = deque(maxlen=count)
+    def __init__(self):
+        self._samples: deque[float] = deque(maxlen=9)  # [s] each
         self._first = True
 
     def note(self, seconds: float, dt: float) -> None:
@@ -107,19 +106,16 @@ def frame_steps(dt: float, step: float | None, before: list[Hand], now: list[Han
     before  hands at the beginning of the frame, `now` at its end; poses in between are interpolated
     """
     n = 1 if step is None else max(1, math.ceil(dt / step - STEP_SLACK))
-    return [(dt / n, interpolate_hands(before, now, k / n)) for k in range(1, n)] + [(dt / n, now)]
-
-
-def interpolate_hands(before: list[Hand], now: list[Hand], fraction: float) -> list[Hand]:
-    """Hands at a fraction between two frames; one that was not there before is at its present pose."""
-    there = [*before, *[None] * len(now)]
-    return [interpolate_hand(a, b, fraction) for a, b in zip(there, now, strict=False)]
+    pairs = list(zip([*before, *[None] * len(now)], now, strict=False))
+    between = [[interpolate_hand(a, b, k / n) for a, b in pairs] for k in range(1, n)]
+    return [(dt / n, hands) for hands in [*between, now]]
 
 
 def interpolate_hand(before: Hand | None, now: Hand | None, fraction: float) -> Hand | None:
     """Hand at a fraction (0 <= fraction < 1) between two poses, its finger capsules and reach too.
 
-    The grip changes only at the end. A hand that is suddenly JUMP_DISTANCE away is placed there at once.
+    The grip changes only at the end. One that was not there before, or is suddenly JUMP_DISTANCE away, is at its
+    present pose.
     """
     if before is None or now is None or not math.dist(before.position, now.position) < JUMP_DISTANCE:
         return now

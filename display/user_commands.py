@@ -208,10 +208,9 @@ class Export(Command):
 class SaveState(Command):
     """Settle, and write the state of the scene (display/keep/state_file.py).
 
-    path  "": a new name;   view  eye and target [m]; None: those of the picture
+    view  eye and target [m]; None: those of the picture
     """
 
-    path: str = ""
     view: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
 

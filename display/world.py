@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
 
@@ -341,29 +342,19 @@ class World(WorldView):
 
     # The view of displays, as WorldView says (display/protocol.py)
 
+    picture_size = property(attrgetter("device.picture_size"))
+    picture = property(attrgetter("device.renderer.picture"))
+    light = property(attrgetter("device.light"))
+    interaction = property(attrgetter("device.solver.interaction"))
+    gravity = property(attrgetter("device.solver.gravity"))
+    selected = property(attrgetter("editor.selected"))
+    recently_selected = property(attrgetter("editor.recently_selected"))
+    notice = property(attrgetter("editor.notice.shown"))
+    simulation_cost = property(attrgetter("_cost.value"))
+
     def resize(self, width: int, height: int) -> None:
         self._drawn = None
         self.device.resize(width, height)
-
-    @property
-    def picture_size(self) -> tuple[int, int]:
-        return self.device.picture_size
-
-    @property
-    def picture(self):
-        return self.device.renderer.picture
-
-    @property
-    def light(self) -> Light | None:
-        return self.device.light
-
-    @property
-    def interaction(self) -> str:
-        return self.device.solver.interaction
-
-    @property
-    def gravity(self) -> tuple[float, float, float]:
-        return self.device.solver.gravity
 
     def material(self, body: int) -> tuple[Material, str]:
         return self.registry.material(body)
@@ -394,27 +385,11 @@ class World(WorldView):
         return self.device.sight.ground(point)
 
     @property
-    def selected(self) -> int | None:
-        return self.editor.selected
-
-    @property
     def room_middle(self) -> np.ndarray | None:
         return self.room.middle if self.room.own is not None else None
 
-    @property
-    def recently_selected(self) -> bool:
-        return self.editor.recently_selected
-
-    @property
-    def notice(self) -> str:
-        return self.editor.notice.shown
-
     def tell(self, text: str) -> None:
         self.editor.notice.tell(text)
-
-    @property
-    def simulation_cost(self) -> float | None:
-        return self._cost.value
 
     def hand_forces(self) -> list[np.ndarray]:
         return self.device.solver.hand_forces()

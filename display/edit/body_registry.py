@@ -77,13 +77,15 @@ class BodyRegistry:
         count = sum(body.material is not None for body in self.device.scene.bodies)
         if self.members == self._scene_members:
             return bodies[:count]
-        index = {m.source: k for k, m in enumerate(self.members) if not m.copy}
-        return [bodies[index[k]] if k in index else self._removed(k) for k in range(count)]
-
-    def _removed(self, k: int) -> BodyState:
-        body, far = self.scene_models[k].body, np.array([REMOVED_X, 0.0, 0.0])
-        up = np.array([0.0, 1.0, 0.0])
-        return BodyState(body.name, far, np.zeros(3), far, far, up, False, body.pinned is not None)
+        far, up = np.array([REMOVED_X, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+        states = [
+            BodyState(m.body.name, far, np.zeros(3), far, far, up, False, m.body.pinned is not None)
+            for m in self.scene_models[:count]
+        ]
+        for member, body in zip(self.members, bodies, strict=False):
+            if not member.copy and member.source < count:
+                states[member.source] = body
+        return states
 
     def gaussian_span(self, k: int) -> tuple[int, int]:
         """Begin and end of a body's Gaussians among the splats."""

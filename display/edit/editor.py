@@ -12,7 +12,7 @@ import numpy as np
 from assets.library import SHIPPED_FOLDER, find_asset
 from core.errors import BadInput
 from core.rotation import best_fit_rotation, matrices_from_quaternions, pose_matrix
-from core.vocabulary import Body, BodyState, Box, Hand, Light
+from core.vocabulary import Body, BodyState, Box, Hand
 from display import user_commands as cmd
 from display.edit.body_registry import BodyRegistry
 from display.edit.selection_marker import MARKED_SECONDS
@@ -366,16 +366,12 @@ class RoomTurn:
         """Put the room, and the light with it, at a pose."""
         if np.abs(pose - self.pose).max() <= 0.0:
             return
-        by = pose @ np.linalg.inv(self.pose)
+        by, light = pose @ np.linalg.inv(self.pose), self._device.light
         self.pose = pose_matrix(pose[:3, 3], best_fit_rotation(pose[:3, :3]))  # without rounding errors
         self._device.place_room(self.pose)
-        if self._device.light is not None:
-            self._device.set_light(turned_light(self._device.light, by))
-
-
-def turned_light(light: Light, by: np.ndarray) -> Light:
-    """A light after a rigid transform (4, 4)."""
-    position, target = (
-        tuple((by[:3, :3] @ np.asarray(p, np.float64) + by[:3, 3]).tolist()) for p in (light.position, light.target)
-    )
-    return replace(light, position=position, target=target)
+        if light is not None:
+            position, target = (
+                tuple((by[:3, :3] @ np.asarray(p, np.float64) + by[:3, 3]).tolist())
+                for p in (light.position, light.target)
+            )
+            self._device.set_light(replace(light, position=position, target=target))

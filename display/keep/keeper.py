@@ -69,11 +69,11 @@ class Keeper:
                 path = self._new_path("_camera.json")
                 cameras = [fitted(world.cameras[0], *(size or world.picture_size))]
                 self._write(path, lambda: write_cameras(path, cameras))
-            case cmd.SaveState(name, view):
+            case cmd.SaveState(view):
                 from display.keep.scene_state import state_of
                 from display.keep.state_file import write_state
 
-                path = Path(name or self._new_path(".state.h5")).absolute()
+                path = self._new_path(".state.h5").absolute()
                 state = state_of(world, self.about(), view)
                 self._write(path, lambda: write_state(path, state))
                 self._preferences.set(f"state.{self.scene}", str(path))
@@ -176,14 +176,12 @@ class Remembered:
         if any(isinstance(c, cmd.LoadState) and not c.path for c in commands):
             last = self._preferences.get(f"state.{self._scene}", PathText, "")
             commands = [replace(c, path=c.path or last) if isinstance(c, cmd.LoadState) else c for c in commands]
-        light = self._light() if self._fresh and world.light is not None else None
+        light = self._preferences.get(f"light.{self._scene}", Light) if self._fresh else None
         self._fresh = False
-        frame.commands = commands if light is None else [cmd.SetLight(light), *commands]
+        if light is not None and light.position != light.target and world.light is not None:
+            commands = [cmd.SetLight(light), *commands]
+        frame.commands = commands
         return frame
-
-    def _light(self) -> Light | None:
-        light = self._preferences.get(f"light.{self._scene}", Light)
-        return light if light is not None and light.position != light.target else None
 
     def keep(self, world) -> None:
         """Store the light, if it is not the scene's own."""

@@ -205,11 +205,8 @@ def digest(asset: str) -> str:
 @lru_cache(maxsize=256)
 def digest_of(path: Path, changed: float, size: int) -> str:
     """SHA-256 of a file that was last changed at a time and is of this size."""
-    digest = hashlib.sha256()
     with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def game_state(game) -> SavedGame:
@@ -248,12 +245,8 @@ def encoded(value: Any, depth: int = 0) -> Any:
     if isinstance(value, dict):
         return {"dict": [[encoded(k, depth + 1), encoded(v, depth + 1)] for k, v in value.items()]}
     if is_dataclass(value) and not isinstance(value, type):
-        return {
-            "object": [
-                type(value).__name__,
-                {f.name: encoded(getattr(value, f.name), depth + 1) for f in fields(value)},
-            ]
-        }
+        made = {f.name: encoded(getattr(value, f.name), depth + 1) for f in fields(value)}
+        return {"object": [type(value).__name__, made]}
     if isinstance(value, (list, tuple, set, frozenset)):
         values = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
         items = [encoded(v, depth + 1) for v in values]

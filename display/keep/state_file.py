@@ -134,10 +134,7 @@ class SceneState:
 def read_state(path: str | Path) -> SceneState:
     """Read and check a file. Raises BadInput."""
     with open_hdf5(Path(path)) as file:
-        if file.text("", "format") != FORMAT:
-            raise file.error("is not a saved state of VR-GS")
-        if file.number("", "version") != VERSION:
-            raise file.error(f"is a state of version {file.number('', 'version'):g}; this program reads {VERSION}")
+        file.check_format(FORMAT, "a saved state", VERSION)
         about = checked_about(file.text("", "about"), str(path))
         assets = file.json("", "assets", Assets)
         added = file.json("", "added", Added)

@@ -40,7 +40,7 @@ class Recording:
         self._new: dict[str, list] = {name: [] for name in DATASETS}
         self._since = 0.0  # [s] of recorded time since the last state
         self._stated = 0  # frames until then
-        self._writer, self._closed = ThreadPoolExecutor(1), False
+        self._writer = ThreadPoolExecutor(1)
         self._blocks = 0  # in the journal
         try:
             self._journal: Journal | None = Journal(self.part)
@@ -92,9 +92,11 @@ class Recording:
             return
         self._new["commands/text"].extend(f"{line}\n".encode())
 
-    def _record_cameras(self, cameras: list[Camera]) -> list[Camera]:
+    def _record_cameras(self, cameras: Sequence[Camera]) -> Sequence[Camera]:
         self._new["frames/cameras"][-1] = len(cameras)
-        self._new["cameras/values"].extend(numbers_of(c) for c in cameras)
+        for c in cameras:
+            numbers = [c.width, c.height, c.fx, c.fy, c.cx, c.cy, *c.world_to_camera.ravel().tolist()]
+            self._new["cameras/values"].append(numbers)
         return cameras
 
     def after(self, world) -> None:
@@ -146,9 +148,6 @@ class Recording:
 
     def close(self) -> None:
         """Write the rest, with the final state, and give the file its name. Further calls do nothing."""
-        if self._closed:
-            return
-        self._closed = True
         if self._stated < self.frames:
             self._write()
         self._writer.shutdown()  # waits
@@ -181,9 +180,3 @@ def plain(value):
     if isinstance(value, list):
         return [plain(v) for v in value]
     return value if value is None or isinstance(value, (bool, int, float)) else str(value)
-
-
-def numbers_of(camera: Camera) -> list[float]:
-    """A camera as CAMERA_SIZE numbers."""
-    c = camera
-    return [c.width, c.height, c.fx, c.fy, c.cx, c.cy, *np.asarray(c.world_to_camera, np.float64).ravel().tolist()]

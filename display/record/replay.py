@@ -42,14 +42,10 @@ class Replay:
         """Read and check a recording, also an incomplete one."""
         path = Path(path)
         with open_recording(path) as file:
-            if file.text("", "format") != FORMAT:
-                raise file.error("is not a recording of VR-GS")
-            version = file.number("", "version")
-            if version not in range(1, VERSION + 1):
-                raise file.error(f"is a recording of version {version:g}; this program knows 1 to {VERSION}")
+            version = file.check_format(FORMAT, "a recording", VERSION)
             about = checked_about(file.text("", "about"), str(path))
             frames = read_frames(file)
-            return cls(path, int(version), about, frames, read_states(file, len(frames)))
+            return cls(path, version, about, frames, read_states(file, len(frames)))
 
     def world_options(self, options: dict) -> dict:
         """Options of a World: the recorded ones, and `how` for the rest. Depth is for headsets."""

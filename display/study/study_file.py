@@ -78,10 +78,7 @@ class Study:
 def read_study(path: str | Path) -> Study:
     """Read and check a file. Raises BadInput."""
     with open_hdf5(Path(path)) as file:
-        if file.text("", "format") != FORMAT:
-            raise file.error("is not a study of VR-GS")
-        if file.number("", "version") != VERSION:
-            raise file.error(f"is a study of version {file.number('', 'version'):g}; this program knows {VERSION}")
+        file.check_format(FORMAT, "a study", VERSION)
         return Study(read_trials(file), read_answers(file))
 
 

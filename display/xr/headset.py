@@ -39,6 +39,7 @@ from scenes.scene import Scene
 
 RECONNECT_TIMEOUT = 60.0  # [s] for a runtime that went away to come back
 LEAVE_TIMEOUT = 3.0  # [s] for a runtime to end the session
+MIRROR_SIZE = (1280, 720)  # [px]
 MIN_SIDE, MAX_SIDE = 16, 8192  # [px] of an eye's picture
 
 
@@ -103,20 +104,12 @@ class Headset(Display):
 
     views = 2
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        title: str = "VR-GS",
-        window: tuple[int, int] = (1280, 720),
-        scale: float = 1.0,
-        marks: bool = True,
-    ):
+    def __init__(self, scene: Scene, *, title: str = "VR-GS", scale: float = 1.0, marks: bool = True):
         self._session = self._mirror = None
         self._marks, self._required = marks, required_extensions(window=has_display())
         self._runtime = self._connect(HEADSET_TIMEOUT)
         try:
-            self._mirror = Mirror(title, window, self.views, shown=has_display())
+            self._mirror = Mirror(title, MIRROR_SIZE, self.views, shown=has_display())
             self._runtime.check_opengl(self._mirror.gl)
             recommended = np.max(self._runtime.view_sizes, axis=0)
             self.size = tuple(int(np.clip(round(side * scale), MIN_SIDE, MAX_SIDE)) for side in recommended)

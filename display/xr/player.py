@@ -280,15 +280,13 @@ class PoseFilter:
         if before is not None and arrived and np.linalg.norm(found[:3, 3] - before[:3, 3]) > MAX_HAND_JUMP:
             self._remaining[h] = None
         if self._remaining[h] is None:
-            self._remaining[h] = 0.0 if before is None else lead_time(before, found)
+            self._remaining[h] = 0.0
+            if before is not None:
+                angle = Rotation.from_matrix(before[:3, :3].T @ found[:3, :3]).magnitude()
+                distance = float(np.linalg.norm(found[:3, 3] - before[:3, 3]))
+                self._remaining[h] = min(MAX_LEAD_TIME, max(distance / LEAD_SPEED, angle / LEAD_TURN_RATE))
         if before is not None and self._remaining[h] > 0.0:
             found = interpolate_pose(before, found, min(1.0, dt / self._remaining[h]))
             self._remaining[h] -= dt
         self._shown[h] = found
         return found
-
-
-def lead_time(a: np.ndarray, b: np.ndarray) -> float:
-    """Time [s] in which a hand is led from one pose (4, 4) to another."""
-    angle = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).magnitude()
-    return min(MAX_LEAD_TIME, max(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) / LEAD_SPEED, angle / LEAD_TURN_RATE))

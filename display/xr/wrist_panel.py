@@ -39,6 +39,7 @@ from display.xr.hand_joints import INDEX_TIP, PALM
 from display.xr.poses import pose_matrix, position_rotation, rotation_facing
 from display.xr.swapchains import ColourTarget, set_sub_image
 
+Box = tuple[int, int, int, int]  # left, top, width, height [px]
 PIXELS = (800, 512)  # (width, height)
 PANEL_WIDTH = 0.28  # [m]
 HEIGHT_OVER_HAND = 0.14  # [m] of its middle
@@ -63,21 +64,13 @@ CORNER_RADIUS = 18  # [px]
 MESSAGE_SIZE, LABEL_SIZE, SMALL_SIZE, TINY_SIZE = 34, 34, 28, 24  # [px] of letters
 
 
-@dataclass(frozen=True)
-class WristButton:
-    """A button's place: `box` is left, top, width and height [px]."""
-
-    name: str
-    box: tuple[int, int, int, int]
-
-
-def button_rows(rows: Sequence[Sequence[str]], columns: int = 0) -> list[WristButton]:
-    """Buttons in rows from the top, in each as wide as if it had `columns` of them."""
-    left, gap, height, placed = 20, 12, 84, []
+def button_rows(rows: Sequence[Sequence[str]], columns: int = 0) -> dict[str, Box]:
+    """Places of buttons in rows from the top, in each as wide as if it had `columns` of them."""
+    left, gap, height, placed = 20, 12, 84, {}
     for top, names in zip(range(116, PIXELS[1], height + gap), rows, strict=False):
         count = columns or len(names)
         width = (PIXELS[0] - 2 * left - gap * (count - 1)) // count
-        placed += [WristButton(name, (left + k * (width + gap), top, width, height)) for k, name in enumerate(names)]
+        placed |= {name: (left + k * (width + gap), top, width, height) for k, name in enumerate(names)}
     return placed
 
 
@@ -100,7 +93,7 @@ def scene_requests() -> dict[str, user_commands.OpenScene]:
 
 
 @cache
-def pages() -> list[list[WristButton]]:
+def pages() -> list[dict[str, Box]]:
     """The buttons of each page: the first one, then those that list the scenes."""
     names, found = list(scene_requests()), [BUTTONS]
     for first in range(0, len(names), SCENES_A_PAGE):
@@ -118,13 +111,10 @@ def page_after(page: int, button: str) -> int:
     return page + 1 if button == MORE else 0
 
 
-def button_at(u: float, v: float, page: int) -> WristButton | None:
+def button_at(u: float, v: float, page: int) -> str | None:
     """The button at a point of the panel [px]."""
-    for button in pages()[page]:
-        x, y, w, h = button.box
-        if x <= u < x + w and y <= v < y + h:
-            return button
-    return None
+    boxes = pages()[page].items()
+    return next((name for name, (x, y, w, h) in boxes if x <= u < x + w and y <= v < y + h), None)
 
 
 def panel_pose(hand: np.ndarray, head: np.ndarray) -> np.ndarray:
@@ -180,7 +170,7 @@ class WristPanel:
     def __init__(self):
         self.pinned = self.clicked = self.placing = False
         self.pose: np.ndarray | None = None
-        self.hovered: WristButton | None = None
+        self.hovered: str | None = None
         self.page = 0
         self.described = Panel()
         self._facing = self._trigger = self._captured = False
@@ -205,9 +195,9 @@ class WristPanel:
         button, commands = self._pressed(right, began), []
         if button is not None:
             self.clicked = True
-            commands += self._commands(button.name, world)
-            self.page = page_after(self.page, button.name)
-            if button.name == LIGHT and world.light is not None:
+            commands += self._commands(button, world)
+            self.page = page_after(self.page, button)
+            if button == LIGHT and world.light is not None:
                 self.placing, self._trigger_places = True, began
         if began and not self._captured and right.aim is not None and world.editable:
             aim = world_from_play @ right.aim
@@ -235,7 +225,7 @@ class WristPanel:
         self._facing = not busy and palm_to_face(left, head) > (HIDE_BELOW if self._facing else SHOW_ABOVE)
         self.pose = panel_pose(left.grip, head) if self.pinned or self._facing else None
 
-    def _pressed(self, right: Controller, began: bool) -> WristButton | None:
+    def _pressed(self, right: Controller, began: bool) -> str | None:
         """The button that the right hand has just pressed, by its ray or by its finger."""
         self.hovered = None
         if self.pose is None:
@@ -249,7 +239,7 @@ class WristPanel:
                 return self.hovered
         return self._poked(fingertip(right))
 
-    def _poked(self, tip: np.ndarray | None) -> WristButton | None:
+    def _poked(self, tip: np.ndarray | None) -> str | None:
         if tip is None:
             return None
         u, v, distance = project_to_panel(self.pose, tip)
@@ -309,7 +299,7 @@ class PanelContent:
             warns=bool(news),
             rate=f"{film}{world.timings.recent_fps():.0f} fps",
             lit=frozenset(lit | {LIGHT} if panel.placing else lit),
-            hovered=panel.hovered.name if panel.hovered else None,
+            hovered=panel.hovered,
             page=panel.page,
         )
 
@@ -388,8 +378,8 @@ def write(picture: np.ndarray, text: str, left: int, middle: int, size: int, col
     cv2.putText(picture, text, (left, middle + round(0.36 * size)), colour, font(), size)
 
 
-def fill_rounded(picture: np.ndarray, box: tuple[int, int, int, int], colour) -> None:
-    """Fill a box (left, top, width, height) [px] of a picture with round corners."""
+def fill_rounded(picture: np.ndarray, box: Box, colour) -> None:
+    """Fill a box of a picture with round corners."""
     x, y, w, h = box
     r = CORNER_RADIUS
     cv2.rectangle(picture, (x + r, y), (x + w - r - 1, y + h - 1), colour, -1)
@@ -398,12 +388,12 @@ def fill_rounded(picture: np.ndarray, box: tuple[int, int, int, int], colour) ->
         cv2.circle(picture, corner, r - 1, colour, -1, cv2.LINE_AA)  # its soft edge is one pixel more
 
 
-def paint_button(picture: np.ndarray, button: WristButton, *, lit: bool, hovered: bool) -> None:
+def paint_button(picture: np.ndarray, name: str, box: Box, *, lit: bool, hovered: bool) -> None:
     """Paint a button on the panel (H, W, 3) uint8."""
-    x, y, w, h = button.box
-    fill_rounded(picture, button.box, (ACCENT_8BIT, ACCENT_HOVERED)[hovered] if lit else (BUTTON, HOVERED)[hovered])
-    size = next((s for s in (LABEL_SIZE, SMALL_SIZE) if text_width(button.name, s) < w - 16), TINY_SIZE)
-    text = shortened(button.name, size, w - 16)
+    x, y, w, h = box
+    fill_rounded(picture, box, (ACCENT_8BIT, ACCENT_HOVERED)[hovered] if lit else (BUTTON, HOVERED)[hovered])
+    size = next((s for s in (LABEL_SIZE, SMALL_SIZE) if text_width(name, s) < w - 16), TINY_SIZE)
+    text = shortened(name, size, w - 16)
     write(picture, text, x + (w - text_width(text, size)) // 2, y + h // 2, size, DARK_TEXT if lit else LIGHT_TEXT)
 
 
@@ -424,6 +414,6 @@ def paint(content: PanelContent) -> np.ndarray:
     write(picture, content.rate, width - rate - 24, 44, SMALL_SIZE, ACCENT_8BIT)
     colour = ACCENT_8BIT if content.warns else QUIET_8BIT
     write(picture, shortened(content.note, SMALL_SIZE, width - 60), 28, 86, SMALL_SIZE, colour)
-    for button in pages()[content.page]:
-        paint_button(picture, button, lit=button.name in content.lit, hovered=button.name == content.hovered)
+    for name, box in pages()[content.page].items():
+        paint_button(picture, name, box, lit=name in content.lit, hovered=name == content.hovered)
     return np.dstack([picture, coverage()])

@@ -44,7 +44,7 @@ def test_steps_are_equal_end_with_the_frame_and_are_never_longer_than_the_period
         dt = gap * PERIOD * 1e-9
         steps = [d for d, _ in frame_steps(dt, PERIOD * 1e-9, [], [])]
         assert sum(steps) == pytest.approx(dt) and len(set(steps)) == 1
-        assert steps[0] <= 1.26 * PERIOD * 1e-9 and len(steps) == max(1, np.ceil(gap - 0.25))
+        assert steps[0] <= 1.26 * PERIOD * 1e-9 <= MAX_FRAME_DT and len(steps) == max(1, np.ceil(gap - 0.25))
     assert [d for d, _ in frame_steps(0.4, None, [], [])] == [0.4]
     assert run([1])[1][1].max_step == pytest.approx(PERIOD * 1e-9)
     strange = (Clock().advance(5, period, None) for period in (0, 10**12, -3))
@@ -144,17 +144,3 @@ def test_finger_capsules_and_reach_are_led_too():
     assert half.reach == pytest.approx(0.03)
     b.touch = ()
     assert interpolate_hand(a, b, 0.5).touch == a.touch
-
-
-@pytest.mark.parametrize("frames", [[1 / 90] * 27, [1 / 90] * 3 + [21 / 90] + [1 / 90] * 3])
-def test_a_missed_frame_does_not_slow_the_world(frames):
-    """The solver never goes further than 1/20 s in one step; a late frame gives it several."""
-    before, steps = [], []
-    for k, dt in enumerate(frames):
-        now = [Hand((0.01 * k, 0.0, 0.0))]
-        steps += frame_steps(dt, 1 / 90, before, now)
-        before = now
-    durations = [dt for dt, _ in steps]
-    assert sum(durations) == pytest.approx(0.3) and max(durations) <= MAX_FRAME_DT
-    moved = np.diff([hand.position[0] for _, (hand,) in steps])
-    assert 0.0 < moved.min() <= moved.max() < 0.0101  # led on through the gap, not thrown across it

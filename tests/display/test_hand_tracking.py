@@ -34,12 +34,9 @@ def track(poses, left=False):
 
 
 @pytest.mark.parametrize("left", [False, True])
-def test_finger_and_thumb_pinch_and_a_fist_grabs(left):
-    assert does(RELAXED, PINCH, RELAXED, FIST, RELAXED, left=left) == ["", "pinch", "", "grab", ""]
-
-
-def test_a_hand_that_points_holds_nothing():
-    assert does(POINT, (0.0,) * 5) == ["", ""]
+def test_finger_and_thumb_pinch_a_fist_grabs_and_a_hand_that_points_holds_nothing(left):
+    poses = (RELAXED, PINCH, RELAXED, FIST, RELAXED, POINT, (0.0,) * 5)
+    assert does(*poses, left=left) == ["", "pinch", "", "grab", "", "", ""]
 
 
 def test_what_is_begun_goes_on_until_it_is_clearly_over():

@@ -11,19 +11,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from core.rotation import pose_matrix
 from display.user_commands import Redo, SetInteraction, Undo
 from display.xr.actions import ACTIONS, EVERY_PROFILE, PROFILES, Controller
 from display.xr.hand_joints import rotation_about
 from display.xr.player import GRAB_RADIUS, MAX_TELEPORT, PINCH_RADIUS, SNAP_TURN, Player, floor_hit
-from display.xr.poses import (
-    ARM_LENGTH,
-    MAX_STEP_AHEAD,
-    PlaySpace,
-    eye_camera,
-    matrix_of,
-    pose_matrix,
-    position_rotation,
-)
+from display.xr.poses import ARM_LENGTH, MAX_STEP_AHEAD, PlaySpace, eye_camera, matrix_of, position_rotation
 from scenes import registry, ring_toss
 from tests.support.fake_view import FakeView
 

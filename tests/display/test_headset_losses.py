@@ -112,14 +112,9 @@ def test_what_cannot_begin_says_why_in_one_line_and_leaves_nothing(wear, says):
     with pytest.raises(BadInput, match=f"--xr: .*{says}") as raised:
         wear(fake)
     assert "\n" not in str(raised.value) and len(str(raised.value)) < 200
-    assert (
-        fake.counts.get("destroy_instance", 0)
-        == fake.counts.get("create_instance", 0) - (fake.failures.get("create_instance", (0,))[0])
-    )
-    assert (
-        fake.counts.get("destroy_session", 0)
-        == fake.counts.get("create_session", 0) - (fake.failures.get("create_session", (0,))[0])
-    )
+    for what in ("instance", "session"):
+        failed = fake.failures.get(f"create_{what}", (0,))[0]
+        assert fake.counts.get(f"destroy_{what}", 0) == fake.counts.get(f"create_{what}", 0) - failed
 
 
 def test_a_headset_may_be_connected_late(wear, capsys):

@@ -76,7 +76,7 @@ class Play(Watched):
         hand, head = np.eye(4), np.eye(4)
         hand[:3, 3], head[:3, 3] = self.left.position, self.player.position
         panel = panel_pose(hand, head)
-        x, y, w, h = next(b.box for b in BUTTONS if b.name == name)
+        x, y, w, h = BUTTONS[name]
         self.right.position = tuple(point_on_panel(panel, x + w / 2, y + h / 2, 0.15).tolist())
         w, x, y, z = quaternions_from_matrices(panel[:3, :3])
         self.right.rotation = (x, y, z, w)

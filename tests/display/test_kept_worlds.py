@@ -14,7 +14,6 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
-from assets.formats.vtu import write_vtu
 from assets.splat_files import kind_of, read_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
@@ -147,8 +146,6 @@ def test_what_cannot_be_written_is_said_in_a_line(world, tmp_path):
         exporter(world, tmp_path / "x.stl")
     with pytest.raises(BadInput, match="does not exist"):
         exporter(world, tmp_path / "none" / "x.ply")()
-    with pytest.raises(BadInput, match="does not exist"):
-        write_vtu(tmp_path / "none" / "x.vtu", np.eye(3), np.zeros((0, 4)), point_fields={}, cell_fields={})
 
 
 # states: the same world goes on from a file, after it was led astray
@@ -176,12 +173,8 @@ def everything(world) -> dict:
 def saved(world, tmp_path_factory):
     """A state with a copy, sizes and materials, while a hand holds a ring; and how the world went on from there."""
     path = tmp_path_factory.mktemp("state") / "rings.h5"
-    edits = [
-        cmd.Reset(),
-        cmd.SetInteraction("physics"),
-        cmd.SetGravity((0.0, -9.0, 0.0)),
-        cmd.SetLight(Light((0.2, 2.0, 0.0))),
-    ]
+    edits = [cmd.Reset(), cmd.SetInteraction("physics"), cmd.SetGravity((0.0, -9.0, 0.0))]
+    edits += [cmd.SetLight(Light((0.2, 2.0, 0.0)))]
     world.step(Frame(1 / 60, 0.0, world.cameras, [Hand()], edits))
     frames(world, 1, cmd.Duplicate(0), cmd.Rescale(0, 0.9), cmd.SetMaterial(1, replace(SOFT, young=3e4)))
     frames(world, 8, cmd.SetTimeScale(0.9))

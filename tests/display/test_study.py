@@ -25,6 +25,7 @@ from vrgs import main
 
 DT = 0.1  # [s]
 AWAY = np.array([0.3, 0.0, 0.4])  # [m], 0.5 long
+SAID = {"format": "vrgs-answers", "participant": "Ida", "setting": "physics", "answers": {}, "comment": ""}
 
 
 class Table:
@@ -266,13 +267,7 @@ def test_the_questionnaire_is_a_page_whose_answers_are_read(tmp_path, capsys):
     assert page == form_page() and all(
         f'name="{key}"' in page and words in page for key, (_, words) in QUESTIONS.items()
     )
-    said = {
-        "format": "vrgs-answers",
-        "participant": "Ida",
-        "setting": "physics",
-        "answers": {"ease": 6},
-        "comment": "c",
-    }
+    said = SAID | {"answers": {"ease": 6}, "comment": "c"}
     (tmp_path / "a.json").write_text(json.dumps(said))
     assert main(["study", str(tmp_path / "s.h5"), "--answers", str(tmp_path / "a.json")]) == 0
     (answers,) = read_study(tmp_path / "s.h5").answers
@@ -290,8 +285,7 @@ def test_the_questionnaire_is_a_page_whose_answers_are_read(tmp_path, capsys):
     ],
 )
 def test_bad_answers_are_refused(tmp_path, changes, says):
-    said = {"format": "vrgs-answers", "participant": "Ida", "setting": "physics", "answers": {}, "comment": ""}
-    (tmp_path / "a.json").write_text(json.dumps(said | changes))
+    (tmp_path / "a.json").write_text(json.dumps(SAID | changes))
     with pytest.raises(BadInput, match=says):
         read_answers_file(tmp_path / "a.json", "now")
 

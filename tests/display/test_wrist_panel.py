@@ -24,7 +24,6 @@ def at(x, y, z) -> np.ndarray:
 
 HEAD = at(0.0, 1.6, 0.0)
 WORLD_FROM_PLAY = pose_matrix((5.0, 0.0, 2.0), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-BY_NAME = {b.name: b for b in wrist_panel.BUTTONS}
 LEFT = Controller(grip=at(-0.2, 1.1, -0.35), aim=at(-0.2, 1.1, -0.35))
 AWAY = at(0.4, 1.3, -0.5)
 LIGHT = Light((0.0, 2.0, 0.0))
@@ -55,7 +54,7 @@ def panel(world):
 
 def pointing(panel, name: str, distance: float = 0.3, **inputs) -> Controller:
     """The right hand, which points at a button's middle from before the panel."""
-    x, y, w, h = BY_NAME[name].box
+    x, y, w, h = wrist_panel.BUTTONS[name]
     pose = pose_matrix(point_on_panel(panel.pose, x + w / 2, y + h / 2, distance), panel.pose[:3, :3])
     return Controller(grip=pose, aim=pose, **inputs)
 
@@ -122,7 +121,7 @@ def test_a_ray_meets_the_pixel_that_it_points_at_from_before_the_panel_and_not_f
 )
 def test_the_trigger_presses_what_the_ray_is_on_once_and_grips_nothing(panel, world, name, command):
     assert advance(panel, world, pointing(panel, name)) == ([], 0.0)
-    assert panel.hovered.name == name and not panel.clicked
+    assert panel.hovered == name and not panel.clicked
     for pinch, wanted in ((0.9, [command]), (0.9, []), (0.5, []), (0.0, []), (0.9, [command])):
         assert advance(panel, world, pointing(panel, name, pinch=pinch)) == (wanted, 0.0)
         assert panel.clicked == bool(wanted)
@@ -234,12 +233,11 @@ def test_its_picture_is_readable_and_says_what_is_on():
     plain = wrist_panel.paint(content)
     assert plain.shape == (*wrist_panel.PIXELS[::-1], 4) and plain.dtype == np.uint8
     assert (plain[..., :3] <= plain[..., 3:]).all()  # colours times alpha
-    for b in wrist_panel.BUTTONS:
-        x, y, w, h = b.box
+    for name, (x, y, w, h) in wrist_panel.BUTTONS.items():
         inside = plain[y : y + h, x : x + w, :3].astype(int)
-        assert np.ptp(inside[h // 4 : -h // 4].mean(2)) > 100, f"{b.name} has no letters"
-        assert (inside[8, w // 2] > [200, 120, 0]).all() == (b.name == "Physics")
-    x, y, w, h = BY_NAME["Undo"].box
+        assert np.ptp(inside[h // 4 : -h // 4].mean(2)) > 100, f"{name} has no letters"
+        assert (inside[8, w // 2] > [200, 120, 0]).all() == (name == "Physics")
+    x, y, w, h = wrist_panel.BUTTONS["Undo"]
     changed = (plain != wrist_panel.paint(replace(content, hovered="Undo"))).any(2)
     assert changed[y : y + h, x : x + w].mean() > 0.9 and not changed[:y].any()
 
@@ -248,14 +246,11 @@ def test_scenes_are_listed_on_pages_of_their_own():
     """Each is a button that opens it; "Back" leads to the first page."""
     page, seen = wrist_panel.page_after(0, "Scenes"), []
     while page:
-        names = [b.name for b in wrist_panel.pages()[page]]
+        names = list(wrist_panel.pages()[page])
         assert names[-1] == "Back" and wrist_panel.page_after(page, "Back") == 0
-        for b in wrist_panel.pages()[page]:
-            x, y, w, h = b.box
+        for x, y, w, h in wrist_panel.pages()[page].values():
             assert x + w <= wrist_panel.PIXELS[0] and y + h <= wrist_panel.PIXELS[1]
-        requests = [
-            wrist_panel.scene_requests()[b.name] for b in wrist_panel.pages()[page] if b.name not in ("More", "Back")
-        ]
+        requests = [wrist_panel.scene_requests()[name] for name in names if name not in ("More", "Back")]
         seen += [(r.name, *r.options.values()) for r in requests]
         page = wrist_panel.page_after(page, "More") if "More" in names else 0
     assert {("ring_toss",), ("manipulation", "bear"), ("manipulation", "fox")} <= set(seen)

@@ -23,6 +23,8 @@ from core.errors import BadInput
 from core.typed import from_json
 
 T = TypeVar("T")
+Sides = tuple[int | None, ...]  # of a dataset; None stands for any length
+Span = tuple[float, float]  # bounds of numbers, both allowed
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 ATTRIBUTE, CONTINUATION = 0x0C, 0x10  # kinds of messages in the header of an object
 BLOCKS_MAX, BLOCK_SIZE_MAX = 16, 1 << 20  # of such a header; [bytes]
@@ -70,15 +72,14 @@ class Hdf5Reader:
             node = node[part]
         return node
 
-    def array(self, name: str, kind: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """A dataset of numbers as it is stored. `kind` is "f" or "iu"; None in `shape` stands for any length."""
+    def array(self, name: str, kind: str, shape: Sides) -> np.ndarray:
+        """A dataset of numbers as it is stored. `kind` is "f" or "iu"."""
         data = self._find(name)
         if not isinstance(data, h5py.Dataset):
             raise self.error(f"missing dataset {name!r}")
         if data.dtype.kind not in kind or data.dtype.itemsize > 8:
-            raise self.error(
-                f"{name} holds {data.dtype}, expected {'floating-point numbers' if kind == 'f' else 'integers'}"
-            )
+            expected = "floating-point numbers" if kind == "f" else "integers"
+            raise self.error(f"{name} holds {data.dtype}, expected {expected}")
         got = data.shape
         if got is None or len(got) != len(shape) or any(s not in (None, g) for s, g in zip(shape, got, strict=True)):
             expected = ", ".join("*" if s is None else str(s) for s in shape)
@@ -86,9 +87,7 @@ class Hdf5Reader:
         self._bound(name, data)
         return data[()]
 
-    def floats(
-        self, name: str, shape: tuple[int | None, ...], dtype=np.float32, *, within: tuple[float, float] | None = None
-    ) -> np.ndarray:
+    def floats(self, name: str, shape: Sides, dtype=np.float32, *, within: Span | None = None) -> np.ndarray:
         """A dataset of floating-point numbers, all of them `within` two bounds; None: not checked to be finite."""
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow becomes infinite
             values = self.array(name, "f", shape).astype(dtype, copy=False)
@@ -96,9 +95,7 @@ class Hdf5Reader:
             raise self.error(f"{name} holds values out of range")
         return values
 
-    def indices(
-        self, name: str, shape: tuple[int | None, ...], dtype=np.int32, *, low: int = 0, high: int | None = None
-    ) -> np.ndarray:
+    def indices(self, name: str, shape: Sides, dtype=np.int32, *, low: int = 0, high: int | None = None) -> np.ndarray:
         """A dataset of integers from `low` to `high`; None: to the largest of `dtype`."""
         values = self.array(name, "iu", shape)
         if values.size and (values.min() < low or values.max() > (np.iinfo(dtype).max if high is None else high)):

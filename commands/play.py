@@ -241,7 +241,7 @@ def open_display(
 
 def open_headless(options: PlayOptions, scene: Scene, replay: Replay | None, begin: float) -> Display:
     """The display of a play without a screen: the scripted hand, or a recording, until its end or --frames."""
-    from display.headless.headless import Headless
+    from display.headless.video import Headless
 
     frames = options.frames or max(1, round(FPS * ((scene.game.duration if scene.game else SECONDS) - begin)))
     frames = min(options.frames or len(replay), len(replay)) if replay else frames

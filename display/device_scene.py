@@ -17,7 +17,7 @@ from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.morton import morton_order
 from core.vocabulary import Light
-from display.scene_bodies import AnimationTargets, load_bodies, pieces_of
+from display.scene_bodies import load_bodies, pieces_of
 from render import MOVING_SORT
 from render.renderer import Renderer
 from render.shadow_map import ShadowMap
@@ -66,15 +66,15 @@ class DeviceScene:
         reserve: Sequence[str] = (),
     ):
         self.scene, self.light, self.picture_size, self.views = scene, scene.light, picture_size, views
-        static, moving, animated, captured = load_bodies(scene)
+        static, moving = load_bodies(scene)
         reserved = [piece for asset in reserve for piece in pieces_of(asset)]
         still = concatenate([g for g, _ in static]) if static else NO_GAUSSIANS
         still = still.select(morton_order(still.means))
         self.still = len(still)
         self.first = len(still) + sum(len(s.gaussians) for s in props)
         first_caster = len(still) + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
-        self.gaussian_counts = [len(embedded.gaussians) for _, embedded in moving]  # of each body of the scene
-        gaussians = concatenate([still, *(s.gaussians for s in props), *(embedded.gaussians for _, embedded in moving)])
+        self.gaussian_counts = [len(piece.part.gaussians) for piece in moving]  # of each body of the scene
+        gaussians = concatenate([still, *(s.gaussians for s in props), *(piece.part.gaussians for piece in moving)])
         self.splats = Splats(
             gaussians,
             capacity=self.first
@@ -89,18 +89,19 @@ class DeviceScene:
         self._still_pose: StillPose | None = None
         self.sight = LineOfSight(obstacles)
         self.solver = Solver(
-            [body for body, _ in moving],
+            [piece.body for piece in moving],
             obstacles,
             gravity=scene.gravity,
             interaction=interaction,
             capacity=capacity_for([piece.body for piece in reserved]) if moving else Capacity(),
             fingers=fingers,
         )
-        parts = [embedded for _, embedded in moving], [piece.part for piece in reserved]
+        parts = [piece.part for piece in moving], [piece.part for piece in reserved]
         self.embedding = self._embed(*parts, embedding) if moving else None
-        self.animations = [AnimationTargets(k, *placed, moving[k][0].vertices) for k, placed in animated.items()]
+        self.animations = [animation for k, piece in enumerate(moving) for animation in piece.targets(k)]
         casters = (first_caster, self.splats.count)
         self.shadow = None if self.light is None else ShadowMap(self.splats, self.light, casters)
+        captured = [k for k, piece in enumerate(moving) if piece.placed.captured]
         if self.shadow is not None and captured:
             self.deform()  # from the bodies' own frames to where they stand
             begins = (self.first + np.cumsum([0, *self.gaussian_counts])).tolist()

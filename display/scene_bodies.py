@@ -31,19 +31,25 @@ RINGS, PLACES = 4, 12  # circles around the middle of the play on which an anima
 ROUNDING = 1e-4  # [m]; a body closer to its targets has not been moved
 
 
-def load_bodies(
-    scene: Scene,
-) -> tuple[
-    list[tuple[Gaussians, list[StaticGrid]]],
-    list[tuple[SoftBody | RigidBody, EmbeddedBody]],
-    dict[int, tuple[Body, Animation]],
-    list[int],
-]:
+@dataclass(frozen=True)
+class Piece:
+    """A body of the solver with its Gaussians, the animation that it may have, and the body of the scene that it is."""
+
+    body: SoftBody | RigidBody
+    part: EmbeddedBody
+    animation: Animation | None
+    placed: Body
+
+    def targets(self, body: int) -> list[AnimationTargets]:
+        """The animation, if it has one, as that of body number `body` of a solver."""
+        led = self.animation is not None
+        return [AnimationTargets(body, self.placed, self.animation, self.body.vertices)] if led else []
+
+
+def load_bodies(scene: Scene) -> tuple[list[tuple[Gaussians, list[StaticGrid]]], list[Piece]]:
     """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame.
 
     The pieces of an asset are bodies of their own: its largest in the scene's order, all others after those.
-
-    Out.  static bodies, simulated bodies, and the animated ones and the indices of the captured ones among the latter
     """
     library: dict[str, Asset] = {}
     pieces: dict[str, list[Asset]] = {}
@@ -59,14 +65,7 @@ def load_bodies(
         largest, *rest = pieces[body.asset]
         moving.append((largest, body))
         others += [(asset, body) for asset in rest]
-    placed = [*moving, *others]
-    animated = {
-        k: (body, asset.animation)
-        for k, (asset, body) in enumerate(placed)
-        if asset.animation is not None and body.kind == "soft"
-    }
-    captured = [k for k, (_, body) in enumerate(placed) if body.captured]
-    return static, [place_soft(asset, body) for asset, body in placed], animated, captured
+    return static, [place_soft(asset, body) for asset, body in [*moving, *others]]
 
 
 def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]:
@@ -77,8 +76,8 @@ def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]
     return gaussians, [StaticGrid(g, body.rotation, body.position, body.scale, friction) for g in asset.grids]
 
 
-def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, EmbeddedBody]:
-    """The simulated body and its Gaussians, both at rest in the body's frame."""
+def place_soft(asset: Asset, body: Body) -> Piece:
+    """The simulated body and its Gaussians, both at rest in the body's frame. Raises BadInput."""
     if asset.cage is None or asset.embedding is None:
         raise BadInput(f"{body.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
     s = body.scale
@@ -114,10 +113,10 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         tets=asset.cage.tets,
     )
     if body.kind == "soft":
-        return soft, part
+        return Piece(soft, part, asset.animation, body)
     if body.kind not in ("rigid", "kinematic"):
         raise BadInput(f"{body.asset}: kind must be soft, rigid or kinematic, not {body.kind!r}")
-    return RigidBody.from_soft(soft, kinematic=body.kind == "kinematic"), part
+    return Piece(RigidBody.from_soft(soft, kinematic=body.kind == "kinematic"), part, None, body)
 
 
 class AnimationTargets:
@@ -184,30 +183,12 @@ class AnimationTargets:
         return self.moved(pose_matrix(here.mean(0) - rotation @ there.mean(0), rotation))
 
 
-@dataclass(frozen=True)
-class Piece:
-    """A body of the solver with its Gaussians, and the animation that it may have."""
-
-    body: SoftBody | RigidBody
-    part: EmbeddedBody
-    animation: Animation | None
-    placed: Body
-
-    def targets(self, body: int) -> list[AnimationTargets]:
-        """The animation, if it has one, as that of body number `body` of a solver."""
-        led = self.animation is not None
-        return [AnimationTargets(body, self.placed, self.animation, self.body.vertices)] if led else []
-
-
 def pieces_of(asset: str, name: str = "") -> list[Piece]:
     """The bodies that an asset consists of, each in its own frame at the origin. Raises BadInput."""
     height, material = animated_height(asset), default_material(asset)
     placed = Body(asset, material if height is None else material.animated(height))
-    pieces = []
-    for piece in split_components(Asset.load(find_asset(asset))):
-        body, part = place_soft(piece, placed)
-        pieces.append(Piece(replace(body, name=name or Path(asset).stem), part, piece.animation, placed))
-    return pieces
+    pieces = [place_soft(piece, placed) for piece in split_components(Asset.load(find_asset(asset)))]
+    return [replace(p, body=replace(p.body, name=name or Path(asset).stem)) for p in pieces]
 
 
 def put_over(pieces: Sequence[Piece], scene: Scene, bodies: Sequence[BodyState]) -> list[Piece]:

@@ -10,7 +10,6 @@ import hashlib
 import math
 import sys
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -121,17 +120,14 @@ def put_state(world: World, state: SceneState, where: str) -> None:
     solver |= {"bodies": models, "untangling": state.untangling, "grasps": state.hands if fits else None}
     solver["asleep"] = np.array([body.asleep for body in state.bodies], bool)
     before = world.snapshot()
-    game_before = None if game is None else dict(vars(game))
     try:
         bodies, room = BodiesSnapshot(solver, members, animations), np.array(settings.room)
         world.restore(
             replace(before, bodies=bodies, time=settings.time, backlog=settings.owed, game=values or {}, room=room)
         )
         if game is not None:
-            try_game(world, deepcopy(values), where)
+            try_game(world, values, where)
     except BadInput:
-        if game is not None:
-            vars(game).update(game_before)
         world.restore(before)
         raise
     world.set_gravity(settings.gravity)

@@ -1,29 +1,4 @@
-"""The state of a scene as an HDF5 file: which bodies there are, how they move, and what is set.
-
-Root attributes: `format` "vrgs-state", `version`, and, as JSON, `about` (the options of the command that make the
-scene, as in a recording), `assets` ([name, SHA-256 of the file] of each of the scene's bodies) and `added` ([file,
-name, SHA-256] of each asset that joined in play).
-
-| dataset | shape, type | |
-| --- | --- | --- |
-| bodies/source, bodies/copy | (B,) int32, uint8 | what each looks like: a body of the scene, or, counted after these, a
-piece of what joined; whether it is a copy |
-| bodies/size | (B,) float64 | in multiples of the scene's body |
-| bodies/material | (B, 6) float64 | the fields of a Material; kinetic_friction NaN: the static one |
-| bodies/asleep, bodies/vertices | (B,) uint8, int32 | whether it sleeps; how many vertices it has |
-| bodies/untangling | (3, B) float64 | see sim/recovery.py |
-| motion/x, x_lo, v, v_lo | (V, 3) float32 | [m] and [m/s], in two parts (sim/state.py) |
-| animations/body, time, place | (A,) int32, float64, (A, 4, 4) float64 | [s] since its start; world_from_body |
-| hands/held, hands/count | (H,) int32 | body in each hand, -1: none; how many vertices it has taken |
-| hands/vertex, hands/position | (N,) int32, (N, 3) float64 | vertices taken, of all hands; [m] in the hand's frame |
-| hands/last | (H, 10) float64 | 1 if there was a hand, then position, rotation (wxyz), grip, reach |
-| hands/poses, hands/history | (H,) int32, (P, 8) float64 | poses kept of each hand: age [s], position, rotation |
-| settings | (C,) uint8 | JSON |
-
-`settings`: time, owed (of a demo, to be simulated) [s], gravity [m/s^2], time_scale, interaction, light (the fields of
-a Light, or null), eye and target [m], room (4, 4: how far the user's has been turned), material_names (a list), game
-(its name, and its state as display/keep/scene_state.py encodes it), or null.
-"""
+"""The state of a scene as an HDF5 file (docs/formats.md, States): its bodies, how they move, and what is set."""
 
 from __future__ import annotations
 
@@ -92,7 +67,7 @@ class SavedGame:
 
 @dataclass(frozen=True)
 class Settings:
-    """All that belongs to no body; see above."""
+    """All that belongs to no body. owed: `World.backlog` [s]; room: how far the user's has been turned."""
 
     time: Seconds
     owed: Seconds

@@ -1,21 +1,8 @@
-"""The file of a recording, HDF5, and the journal that it is made of while it is recorded.
+"""The file of a recording, HDF5 (docs/formats.md, Recordings), and the journal that it is made of while it is recorded.
 
-Root attributes: `format` "vrgs-recording", `version`, and `about` (JSON: the scene, the options, where kernels ran).
-
-| dataset | shape, type | |
-| --- | --- | --- |
-| frames/dt, time, step | (F,) float64 | seconds; step 0: the whole dt at once |
-| frames/hands, frames/cameras | (F,) int32 | number of each in a frame |
-| hands/touches | (H,) int32 | finger capsules of the hands of all frames, concatenated; -1: a hand without a pose |
-| hands/numbers | (N,) float64 | of each hand: position, rotation, grip, reach, then a, b and radius of its capsules |
-| cameras/values | (C, 22) float64 | width, height, fx, fy, cx, cy, world_to_camera row by row |
-| commands/text | (B,) uint8 | JSON lines, each with its frame: {"frame": 12, "pause": true} |
-| states/frame, states/count | (S,) int64, int32 | frame and number of bodies of each state, about every second |
-| states/centroids | (M, 3) float64 | [m] |
-
-The journal, FILE.part, only grows: JOURNAL, then blocks of the same columns, about one a second. A block is a line of
-JSON with the number of bytes of each column, and these bytes. The journal of a session that ended abnormally is a
-recording up to its last whole block: `--replay FILE.part` plays it.
+The journal, FILE.part, only grows: JOURNAL, then blocks of the columns of DATASETS, about one a second. A block is a
+line of JSON with the number of bytes of each column, and these bytes. The journal of a session that ended abnormally is
+a recording up to its last whole block: `--replay FILE.part` plays it.
 """
 
 from __future__ import annotations

@@ -1,15 +1,4 @@
-"""The file of a study, HDF5: trials and answers of all its participants, and the log that adds the trials of a play.
-
-Root attributes: `format` "vrgs-study", `version`.
-
-| dataset | shape, type | |
-| --- | --- | --- |
-| trials/seconds, first_grip, goal, hand_path, body_path | (T,) float64 | see Trial; NaN: none |
-| trials/completed, grips, throws, frames, scores | (T,) int64 | scores: number of rows in scores/ |
-| trials/text | (B,) uint8 | JSON lines: participant, task, setting, device, started, about |
-| scores/time, scores/value | (S,) float64 | of all trials, concatenated |
-| answers/values | (A, Q) int64 | 0: not answered |
-| answers/text | (C,) uint8 | JSON lines: participant, setting, started, comment |
+"""The file of a study, HDF5 (docs/formats.md, Studies), and the log that adds the trials of a play.
 
 The file is replaced as a whole by one with more in it, so that it is complete at any moment.
 """

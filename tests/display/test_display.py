@@ -155,7 +155,7 @@ def test_what_needs_no_screen_imports_nothing_heavy_before_it_opens():
     """`python vrgs.py --headless` must run where there is no OpenGL."""
     heavy = ["glfw", "moderngl", "imgui_bundle", "cv2", "taichi"]
     code = (
-        "import sys, display.web.browser, display.headless.headless, display.window.gl_window\n"
+        "import sys, display.web.browser, display.headless.video, display.window.gl_window\n"
         f"print([m for m in {heavy} if m in sys.modules])"
     )
     root = Path(__file__).resolve().parents[2]

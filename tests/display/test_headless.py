@@ -12,8 +12,7 @@ from assets import file_access
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.vocabulary import Hand
-from display.headless.headless import EYE_DISTANCE, Headless
-from display.headless.video import FilmWriter
+from display.headless.video import EYE_DISTANCE, FilmWriter, Headless
 from display.picture import pixels_of, side_by_side
 from display.protocol import Frame
 from display.user_commands import SetInteraction

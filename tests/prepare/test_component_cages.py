@@ -129,7 +129,7 @@ def test_pieces_closer_than_the_search_for_them_are_parted_by_the_level_set(ti_c
 def test_in_a_scene_each_piece_is_a_body_of_its_own(pair, tmp_path):
     pair.save(tmp_path / "pair.h5")
     body = Body(str(tmp_path / "pair.h5"), Material.named("plush"), position=(0.0, 1.0, 0.0), scale=0.5)
-    _, moving, *_ = load_bodies(Scene([body], Light((0, 2, 0)), (0, 1, 1), (0, 0, 0)))
+    moving = [(p.body, p.part) for p in load_bodies(Scene([body], Light((0, 2, 0)), (0, 1, 1), (0, 0, 0)))[1]]
     assert len(moving) == 2
     vertices = sum(len(soft.vertices) for soft, _ in moving)
     assert vertices == len(pair.cage.vertices) and sum(len(p.gaussians) for _, p in moving) == len(pair.gaussians)
@@ -141,7 +141,7 @@ def test_in_a_scene_each_piece_is_a_body_of_its_own(pair, tmp_path):
         # corners of large Gaussians on the surface extrapolate; their mean stays near the centre
         off = np.linalg.norm(corners.mean(1) - part.gaussians.means, axis=1)
         assert np.median(off) < 1e-4 and off.max() < 0.02
-    static, *_ = load_bodies(Scene([replace(body, material=None)], None, (0, 1, 1), (0, 0, 0)))
+    static, _ = load_bodies(Scene([replace(body, material=None)], None, (0, 1, 1), (0, 0, 0)))
     assert len(static) == 1 and len(static[0][1]) == 1  # what does not move stays whole, with the grid of all
 
 
@@ -149,8 +149,7 @@ def test_a_game_sees_the_largest_piece_of_each_of_the_scenes_bodies(pair, tmp_pa
     pair.save(tmp_path / "pair.h5")
     plush = Material.named("plush")
     scene = Scene([Body(str(tmp_path / "pair.h5"), plush), Body("ring_red", plush)], None, (0, 1, 1), (0, 0, 0))
-    _, moving, *_ = load_bodies(scene)
-    names = [soft.name for soft, _ in moving]
+    names = [piece.body.name for piece in load_bodies(scene)[1]]
     assert names == [str(tmp_path / "pair.h5"), "ring_red", str(tmp_path / "pair.h5")]
     device = SimpleNamespace(scene=scene, animations=[], solver=SimpleNamespace(body_models=names))
     assert BodyRegistry(device).scene_states(names) == names[:2]

@@ -7,7 +7,7 @@ shadow map and renderer read them. Nothing passes through the host.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -96,15 +96,19 @@ class DeviceScene:
             capacity=capacity_for([piece.body for piece in reserved]) if moving else Capacity(),
             fingers=fingers,
         )
-        parts = [piece.part for piece in moving], [piece.part for piece in reserved]
-        self.embedding = self._embed(*parts, embedding) if moving else None
+        begins = self.begins(range(len(moving)))
+        placed = zip(moving, self.solver.vertex_offset, begins, strict=False)
+        parts = [replace(piece.part, vertex_offset=v, gaussian_offset=g) for piece, v, g in placed]
+        rotates, more = self.splats.coefficients > 1, [piece.part for piece in reserved]
+        self.embedding: Embedding | None = None
+        if moving:
+            self.embedding = Embedding(parts, scheme=embedding, with_rotation=rotates, headroom=HEADROOM, reserve=more)
         self.animations = [animation for k, piece in enumerate(moving) for animation in piece.targets(k)]
         casters = (first_caster, self.splats.count)
         self.shadow = None if self.light is None else ShadowMap(self.splats, self.light, casters)
         captured = [k for k, piece in enumerate(moving) if piece.placed.captured]
         if self.shadow is not None and captured:
             self.deform()  # from the bodies' own frames to where they stand
-            begins = (self.first + np.cumsum([0, *self.gaussian_counts])).tolist()
             self.shadow.keep_captured_shadows([(begins[k], begins[k + 1]) for k in captured])
         self.renderer = Renderer(
             self.splats,
@@ -116,14 +120,9 @@ class DeviceScene:
             still=len(still),
         )
 
-    def _embed(self, bodies: list, reserve: list, scheme: str) -> Embedding:
-        begins = self.first + np.cumsum([0, *self.gaussian_counts])
-        placed = [
-            replace(body, vertex_offset=v, gaussian_offset=int(g))
-            for body, v, g in zip(bodies, self.solver.vertex_offset, begins, strict=False)
-        ]
-        rotates = self.splats.coefficients > 1
-        return Embedding(placed, scheme=scheme, with_rotation=rotates, headroom=HEADROOM, reserve=reserve)
+    def begins(self, sources: Iterable[int]) -> list[int]:
+        """Index of the first Gaussian of each of bodies that look like these, and the end of the last one's."""
+        return (self.first + np.cumsum([0, *(self.gaussian_counts[k] for k in sources)])).tolist()
 
     def show(self, spans: list[BodySpan], packed: list[PackedBody], count: int) -> None:
         """Embed these spans, and draw only the first `count` Gaussians."""

@@ -77,15 +77,13 @@ class BodyRegistry:
         count = sum(body.material is not None for body in self.device.scene.bodies)
         if self.members == self._scene_members:
             return bodies[:count]
-        far, up = np.array([REMOVED_X, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-        states = [
-            BodyState(m.body.name, far, np.zeros(3), far, far, up, False, m.body.pinned is not None)
-            for m in self.scene_models[:count]
-        ]
-        for member, body in zip(self.members, bodies, strict=False):
-            if not member.copy and member.source < count:
-                states[member.source] = body
-        return states
+        index = {m.source: k for k, m in enumerate(self.members) if not m.copy}
+        return [bodies[index[k]] if k in index else self._removed(k) for k in range(count)]
+
+    def _removed(self, k: int) -> BodyState:
+        body, far = self.scene_models[k].body, np.array([REMOVED_X, 0.0, 0.0])
+        up = np.array([0.0, 1.0, 0.0])
+        return BodyState(body.name, far, np.zeros(3), far, far, up, False, body.pinned is not None)
 
     def gaussian_span(self, k: int) -> tuple[int, int]:
         """Begin and end of a body's Gaussians among the splats."""
@@ -270,9 +268,7 @@ class BodyRegistry:
             raise CapacityError("no capacity for Gaussians")
 
     def _begins(self, members: tuple[Member, ...]) -> list[int]:
-        """Index of the first Gaussian of each member, and the end of the last one's."""
-        counts = self.device.gaussian_counts
-        return (self.device.first + np.cumsum([0, *(counts[m.source] for m in members)])).tolist()
+        return self.device.begins(m.source for m in members)
 
     def _read(self) -> None:
         """Keep on the host what the device holds of each of the scene's bodies; they are shown, and no others."""

@@ -6,6 +6,7 @@ Attributes of a game are JSON: numbers, texts, lists; all else, tuples, sets, di
 
 from __future__ import annotations
 
+import builtins
 import hashlib
 import math
 import sys
@@ -266,8 +267,7 @@ def decoded(value: Any, classes: dict[str, type], depth: int = 0) -> Any:
             case "floats" | "integers" | "bools":
                 return decoded_array(NUMBERS[kind], *content)
             case "tuple" | "set" | "frozenset":
-                make = {"tuple": tuple, "set": set, "frozenset": frozenset}[kind]
-                return make(decoded(v, classes, depth + 1) for v in list(content))
+                return getattr(builtins, kind)(decoded(v, classes, depth + 1) for v in list(content))
             case "dict":
                 return {decoded(k, classes, depth + 1): decoded(v, classes, depth + 1) for k, v in list(content)}
             case "object":

@@ -22,17 +22,10 @@ from display.user_commands import Command
 from display.window.gl_context import EglContext, PictureTexture
 from display.window.gl_window import GLWindow, has_display
 from display.xr import avatar
-from display.xr.openxr_runtime import (
-    HEADSET_TIMEOUT,
-    WINDOW_INSTEAD,
-    OpenXrRuntime,
-    graphics_binding,
-    required_extensions,
-)
+from display.xr.openxr_runtime import HEADSET_TIMEOUT, WINDOW_INSTEAD, OpenXrRuntime, graphics_binding
 from display.xr.player import TAP_SECONDS, TAP_STRENGTH, Player, PoseFilter
 from display.xr.poses import eye_camera
 from display.xr.session import SessionLost, StatusMessages, XrSession
-from display.xr.swapchains import DEPTH_EXTENSION
 from display.xr.wrist_panel import PanelContent, WristPanel
 from render.skinned_props import Skin
 from scenes.scene import Scene
@@ -94,7 +87,7 @@ class Mirror:
 
 
 class Headset(Display):
-    """A display: `for frame in headset.frames(world): world.step(frame); headset.present(world)`.
+    """The headset as a display.
 
     `size` is that of one eye's picture [px]: the runtime's recommendation times `scale`; where the rate does not hold,
     smaller ones are drawn (display/adaptive_resolution.py). `depth`: the runtime takes the pictures' depth. With
@@ -106,10 +99,10 @@ class Headset(Display):
 
     def __init__(self, scene: Scene, *, title: str = "VR-GS", scale: float = 1.0, marks: bool = True):
         self._session = self._mirror = None
-        self._marks, self._required = marks, required_extensions(window=has_display())
-        self._runtime = self._connect(HEADSET_TIMEOUT)
+        self._marks, self._windowed = marks, has_display()
+        self._runtime = OpenXrRuntime(windowed=self._windowed, timeout=HEADSET_TIMEOUT)
         try:
-            self._mirror = Mirror(title, MIRROR_SIZE, self.views, shown=has_display())
+            self._mirror = Mirror(title, MIRROR_SIZE, self.views, shown=self._windowed)
             self._runtime.check_opengl(self._mirror.gl)
             recommended = np.max(self._runtime.view_sizes, axis=0)
             self.size = tuple(int(np.clip(round(side * scale), MIN_SIDE, MAX_SIDE)) for side in recommended)
@@ -141,9 +134,6 @@ class Headset(Display):
     def props() -> list[Skin]:
         """Props for World to draw besides the scene: the player's avatar."""
         return avatar.skins()
-
-    def _connect(self, timeout: float, *, depth: bool = True) -> OpenXrRuntime:
-        return OpenXrRuntime(self._required, timeout=timeout, without=() if depth else (DEPTH_EXTENSION,))
 
     def _begin_session(self) -> XrSession:
         """A new session; the runtime then says when to play. BadInput if it does not let us."""
@@ -282,7 +272,8 @@ class Headset(Display):
         end = time.monotonic() + RECONNECT_TIMEOUT
         while time.monotonic() < end and not self._mirror.closing:
             try:
-                self._runtime = self._connect(0.0, depth=self.depth)  # without it the pictures have no depth
+                # A world that was made without depth has none in its pictures.
+                self._runtime = OpenXrRuntime(windowed=self._windowed, timeout=0.0, depth=self.depth)
                 self._session = self._begin_session()
             except BadInput:
                 self._runtime.close()

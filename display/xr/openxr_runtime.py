@@ -17,7 +17,6 @@ from display.xr.swapchains import DEPTH_EXTENSION
 
 WINDOW_INSTEAD = "leave out --xr to play in a window"
 TIMESPEC_EXTENSION = "XR_KHR_convert_timespec_time"
-OPTIONAL_EXTENSIONS = [TIMESPEC_EXTENSION, DEPTH_EXTENSION, hand_tracking.EXTENSION]
 HEADSET_TIMEOUT = 30.0  # [s] to wait for a headset that the runtime reports as not connected yet
 GLX_FBCONFIG_ID, GLX_SCREEN, GLX_VISUAL_ID = 0x8013, 0x800C, 0x800B  # registry of GLX enums
 
@@ -34,29 +33,26 @@ def import_xr():
     return xr
 
 
-def required_extensions(*, window: bool) -> list[str]:
-    """Instance extensions without which no picture can be handed over, with a desktop window or without."""
-    return ["XR_KHR_opengl_enable", *([] if window else ["XR_MNDX_egl_enable"])]
-
-
 class OpenXrRuntime:
     """One OpenXR instance and the headset's system. Raises BadInput with one clear line.
 
-    `view_sizes` are the recommended (width, height) [px] of the eyes, `enabled` the names of the enabled extensions:
-    the `required` ones and those of OPTIONAL_EXTENSIONS that the runtime has. `tracks_hands`: the system supports
-    XR_EXT_hand_tracking.
+    It takes pictures of a desktop window's OpenGL context, or not `windowed`, of an EGL one; `depth`: with their depth,
+    if it can. `timeout` [s] for a headset that is not connected yet. `view_sizes` are the recommended (width, height)
+    [px] of the eyes, `enabled` the names of the enabled extensions. `tracks_hands`: XR_EXT_hand_tracking is supported.
     """
 
-    def __init__(self, required: list[str], *, timeout: float = HEADSET_TIMEOUT, without: tuple[str, ...] = ()):
+    def __init__(self, *, windowed: bool, timeout: float, depth: bool = True):
         self.xr = xr = import_xr()
         self.instance = None
+        required = ["XR_KHR_opengl_enable", *([] if windowed else ["XR_MNDX_egl_enable"])]
+        optional = [TIMESPEC_EXTENSION, hand_tracking.EXTENSION, *([DEPTH_EXTENSION] if depth else [])]
         try:
             offered = {e.extension_name.decode() for e in xr.enumerate_instance_extension_properties()}
         except xr.exception.ResultException as e:
             raise no_runtime() from e
         if missing := [name for name in required if name not in offered]:
             raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {WINDOW_INSTEAD}")
-        self.enabled = [*required, *(e for e in OPTIONAL_EXTENSIONS if e in offered and e not in without)]
+        self.enabled = [*required, *(e for e in optional if e in offered)]
         try:
             self.instance = xr.create_instance(
                 xr.InstanceCreateInfo(
@@ -103,12 +99,8 @@ class OpenXrRuntime:
                 time.sleep(0.5)
 
     def _view_sizes(self) -> list[tuple[int, int]]:
-        xr = self.xr
-        stereo = xr.ViewConfigurationType.PRIMARY_STEREO
-        offered = xr.enumerate_view_configurations(self.instance, self.system)
-        if stereo not in [xr.ViewConfigurationType(v) for v in offered]:
-            raise BadInput(f"--xr: {self.name} shows no stereo pictures; {WINDOW_INSTEAD}")
-        views = xr.enumerate_view_configuration_views(self.instance, self.system, stereo)
+        stereo = self.xr.ViewConfigurationType.PRIMARY_STEREO
+        views = self.xr.enumerate_view_configuration_views(self.instance, self.system, stereo)
         return [(v.recommended_image_rect_width, v.recommended_image_rect_height) for v in views]
 
     def _blend_mode(self):

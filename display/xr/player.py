@@ -46,7 +46,6 @@ class Player:
         self.pointing: tuple[np.ndarray, np.ndarray] | None = None
         self._grips = [False, False]
         self._poses: list[np.ndarray | None] = [None, None]  # of the hands in the play space, as last tracked
-        self._radius = [GRAB_RADIUS, GRAB_RADIUS]
         self._by_pinch = [False, False]
         self._shown = [Controller(), Controller()]
         self._pokes = [FingerPoke(), FingerPoke()]
@@ -80,9 +79,13 @@ class Player:
                 hands.append(Hand())
             else:
                 pose = position_rotation(world_from_play @ self._poses[h])
-                hands.append(Hand(*pose, self._grips[h], self._radius[h], touch))
+                reach = PINCH_RADIUS if self._by_pinch[h] else GRAB_RADIUS
+                hands.append(Hand(*pose, self._grips[h], reach, touch))
         self._walk(controllers, head)
-        return hands, self._buttons(*controllers, world)
+        mode = "transform" if world.interaction == "physics" else "physics"
+        left, right = (c.pressed for c in controllers)
+        offered = [("upper" in left, SetInteraction(mode)), ("upper" in right, Undo()), ("lower" in right, Redo())]
+        return hands, [command for pressed, command in offered if pressed]
 
     def prop_poses(self, controllers: list[Controller]) -> np.ndarray:
         """World poses of the player's avatar (display/xr/avatar.py).
@@ -98,21 +101,10 @@ class Player:
             avatar.show_ray(result, *self.pointing)
         return result
 
-    def _buttons(self, left: Controller, right: Controller, world: WorldView) -> list[Command]:
-        commands = []
-        if "upper" in left.pressed:
-            commands.append(SetInteraction("transform" if world.interaction == "physics" else "physics"))
-        if "upper" in right.pressed:
-            commands.append(Undo())
-        if "lower" in right.pressed:
-            commands.append(Redo())
-        return commands
-
     def _update_grip(self, h: int, c: Controller) -> None:
         gripped = max(c.grab, c.pinch) > (RELEASE_BELOW if self._grips[h] else PRESS_ABOVE)
         if gripped and not self._grips[h]:
             self._by_pinch[h] = c.pinch > c.grab
-            self._radius[h] = PINCH_RADIUS if self._by_pinch[h] else GRAB_RADIUS
         self._grips[h] = gripped
 
     def _walk(self, controllers: list[Controller], head: np.ndarray) -> None:
@@ -143,26 +135,20 @@ class Player:
 
     def feel(self, world: WorldView, actions: ActionSet) -> None:
         """Vibrate: a tap where a hand takes hold or touches, then in proportion to the force on it."""
-        forces, touches = world.hand_forces(), world.touch_forces()
+        none = [np.zeros(3)] * 2
+        pulls, pushes = [*world.hand_forces(), *none], [*world.touch_forces(), *none]
         for h in (0, 1):
-            force, touch = force_norm(forces, h), force_norm(touches, h)
+            force, touch = float(np.linalg.norm(pulls[h])), float(np.linalg.norm(pushes[h]))
             holds, before = self._grips[h] and force > 0.0, self._touch_force[h]
             self._touch_force[h] += TOUCH_SMOOTHING * (touch - before)
             touched = self._touch_force[h] > CONTACT_FORCE >= before
-            level = (
-                max(force / MAX_HAND_FORCE if holds else 0.0, min(self._touch_force[h] / TOUCH_FORCE, 1.0))
-                * PULL_STRENGTH
-            )
+            pull = force / MAX_HAND_FORCE if holds else 0.0
+            level = PULL_STRENGTH * max(pull, min(self._touch_force[h] / TOUCH_FORCE, 1.0))
             if (holds and not self._held[h]) or touched:
                 actions.pulse(h, TAP_STRENGTH, TAP_SECONDS)
             elif level > MIN_STRENGTH:
                 actions.pulse(h, level, PULL_SECONDS)
             self._held[h] = holds
-
-
-def force_norm(forces: list[np.ndarray], h: int) -> float:
-    """Norm of hand h's force [N], 0 if there is none."""
-    return float(np.linalg.norm(forces[h])) if h < len(forces) else 0.0
 
 
 class FingerPoke:
@@ -191,11 +177,6 @@ class FingerPoke:
 def pinch_point(c: Controller) -> np.ndarray:
     """Point between finger and thumb, (3,) in the play space; of a controller, the end of its stretched finger."""
     return c.finger() if c.joints is None else c.joints.pinch_point()
-
-
-def forward(pose: np.ndarray) -> np.ndarray:
-    """Unit vector (3,) to which a pose points, its -z."""
-    return -pose[:3, 2]
 
 
 def world_touches(world_from_play: np.ndarray, capsules: np.ndarray) -> tuple[Touch, ...]:
@@ -228,7 +209,7 @@ class PinchTeleport:
         began, self._pinches = pinches and not self._pinches, pinches
         if began:
             aim = world_from_play @ c.aim
-            at_floor = floor_hit(aim, self._floor) is not None and forward(aim)[1] < -MIN_AIM_DOWN
+            at_floor = floor_hit(aim, self._floor) is not None and aim[1, 2] > MIN_AIM_DOWN
             point = (world_from_play @ [*pinch_point(c), 1.0])[:3]
             self._aims = at_floor and not any(is_near(body, point) for body in world.bodies())
         self._aims = self._aims and pinches
@@ -246,7 +227,7 @@ def floor_hit(aim: np.ndarray, floor: float = 0.0) -> np.ndarray | None:
 
     floor  its height [m]
     """
-    start, direction = aim[:3, 3], forward(aim)
+    start, direction = aim[:3, 3], -aim[:3, 2]
     if direction[1] >= -1e-3 or start[1] <= floor:
         return None
     hit = start - direction * ((start[1] - floor) / direction[1])

@@ -99,7 +99,7 @@ BEGINNINGS = {
     "drives no headset": {"get_system": (1, "FormFactorUnsupportedError")},
     "finds no headset": {"get_system": (1, "FormFactorUnavailableError")},
     "fails .InstanceLostError.": {"get_system": (1, "InstanceLostError")},
-    "fails .RuntimeFailureError.": {"enumerate_view_configurations": (1, "RuntimeFailureError")},
+    "fails .RuntimeFailureError.": {"enumerate_view_configuration_views": (1, "RuntimeFailureError")},
     "begins no session .GraphicsDeviceInvalidError.": {"create_session": (1, "GraphicsDeviceInvalidError")},
     "begins no session .OutOfMemoryError.": {"create_swapchain": (2, "OutOfMemoryError")},
     "begins no session .SessionLostError.": {"attach_session_action_sets": (1, "SessionLostError")},

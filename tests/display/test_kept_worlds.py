@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import h5py
 import meshio
 import numpy as np
@@ -77,10 +78,6 @@ def drawn(world):
     return draw
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(10 * np.log10(255**2 / max(((a - b) ** 2).mean(), 1e-9)))
-
-
 def shown(world) -> np.ndarray:
     return pixels_of(world.picture)[..., :3].astype(float)
 
@@ -90,7 +87,7 @@ def test_the_exported_splat_looks_like_the_running_scene(world, drawn, tmp_path,
     exporter(world, tmp_path / name)()
     gaussians = read_gaussians(tmp_path / name)
     assert len(gaussians) == world.stats()["gaussians"] and gaussians.sh_degree == 2
-    quality = psnr(drawn(gaussians), shown(world))
+    quality = cv2.PSNR(drawn(gaussians), shown(world))
     print(f"{name}: {quality:.1f} dB")
     assert quality > least
 
@@ -99,7 +96,7 @@ def test_shadows_are_left_out_on_request_and_one_body_stands_alone(world, drawn,
     for name, options in {"lit.ply": {"shadows": False}, "body.ply": {"body": 1}}.items():
         exporter(world, tmp_path / name, **options)()
     lit = drawn(read_gaussians(tmp_path / "lit.ply"))
-    assert psnr(lit, shown(world)) < 40 and lit.mean() > shown(world).mean() + 0.2, "the shadow was there before"
+    assert cv2.PSNR(lit, shown(world)) < 40 and lit.mean() > shown(world).mean() + 0.2, "the shadow was there before"
     alone = read_gaussians(tmp_path / "body.ply")
     body = world.bodies()[1]
     assert len(alone) == world.device.gaussian_counts[1]

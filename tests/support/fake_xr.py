@@ -148,9 +148,6 @@ class FakeXr:
         self._number(instance)
         return 1
 
-    def enumerate_view_configurations(self, instance, system):
-        return [self._real.ViewConfigurationType.PRIMARY_STEREO]
-
     def enumerate_view_configuration_views(self, instance, system, kind):
         width, height = self.size
         return [N(recommended_image_rect_width=width, recommended_image_rect_height=height)] * 2

@@ -142,24 +142,19 @@ class Video:
         self._writer.write(bgr)
         self.count += 1
 
-    def close(self) -> None:
-        """Finish the file, check that it reads back, and give it its name. Raises BadInput if it does not."""
+    def close(self, *, keep: bool = True) -> None:
+        """Finish the file, check that it reads back, and give it its name; or leave none. Raises BadInput."""
         if self._writer is None:
             return
         self._writer.release()
         self._writer = None
-        readable = frame_count(self._part)
-        if readable != self.count:
-            self._part.unlink(missing_ok=True)
+        readable = frame_count(self._part) if keep else 0
+        if keep and readable == self.count:
+            os.replace(self._part, self.path)
+            return
+        self._part.unlink(missing_ok=True)
+        if keep:
             raise BadInput(f"{self.path}: only {readable} of {self.count} pictures could be written (disk full?)")
-        os.replace(self._part, self.path)
-
-    def discard(self) -> None:
-        """Give up; no file is left."""
-        if self._writer is not None:
-            self._writer.release()
-            self._writer = None
-            self._part.unlink(missing_ok=True)
 
 
 class FilmWriter:
@@ -209,9 +204,7 @@ class FilmWriter:
         return self
 
     def __exit__(self, error: type | None, *_) -> None:
-        if error is not None and self._seconds:
-            self._video.discard()
-        self.close()
+        self._video.close(keep=error is None or not self._seconds)
 
 
 def frame_count(path: Path) -> int:

@@ -38,20 +38,19 @@ View = tuple[tuple[float, float, float], tuple[float, float, float]]  # eye and 
 
 def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
     """The state of a world as it is now; without a view it is that of its last picture. Raises BadInput."""
-    device, registry, room = world.device, world.registry, world.room
+    registry, room = world.registry, world.room
     if np.abs(room.kept - np.eye(4)).max() > 0.0:
         raise BadInput("The room's file has been turned since: begin the play again before you save its state.")
-    solver, begin = device.solver.snapshot(), device.solver.vertex_offset
-    bodies = [
-        SavedBody(
-            member.source, member.copy, model.shape.factor, model.body.material, member.material,
-            int(end - first), bool(asleep),
-        )
-        for member, model, first, end, asleep in zip(
-            registry.members, solver["bodies"], begin, begin[1:], solver["asleep"], strict=False
-        )
-    ]  # fmt: skip
-    scene, game = world.scene, world.scene.game
+    solver, scene, game = world.device.solver.snapshot(), world.scene, world.scene.game
+    bodies = []
+    for m, model, asleep in zip(registry.members, solver["bodies"], solver["asleep"], strict=False):
+        shape, material = model.shape, model.body.material
+        vertices = len(shape.vertices)
+        bodies.append(SavedBody(m.source, m.copy, shape.factor, material, m.material, vertices, bool(asleep)))
+    models = registry.source_models
+    added = tuple((str(asset), models[k].body.name, digest(asset)) for asset, (k, *_) in registry.added.items())
+    animations = tuple(SavedAnimation(a.body, a.time, a.world_from_body) for a in registry.animations)
+    motion = np.stack([solver[name] for name in MOTION])
     eye, target = view or view_of(world)
     settings = Settings(
         world.time, world.backlog, world.gravity, world.time_scale, world.interaction, world.light,
@@ -59,19 +58,9 @@ def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
         tuple(map(tuple, room.pose.tolist())),
     )  # fmt: skip
     return SceneState(
-        located(about),
-        scene_assets(scene),
-        tuple(
-            (str(asset), registry.source_models[k].body.name, digest(asset))
-            for asset, (k, *_) in registry.added.items()
-        ),
-        tuple(bodies),
-        np.stack([solver[name] for name in MOTION]),
-        solver["untangling"],
-        tuple(SavedAnimation(a.body, a.time, a.world_from_body) for a in registry.animations),
-        solver["grasps"],
-        settings,
-    )
+        located(about), scene_assets(scene), added, tuple(bodies), motion, solver["untangling"], animations,
+        solver["grasps"], settings,
+    )  # fmt: skip
 
 
 def located(about: dict) -> dict:

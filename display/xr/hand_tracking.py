@@ -41,29 +41,27 @@ def supported(xr, instance, system) -> bool:
 
 
 class HandTrackers:
-    """Both hands' XrHandTrackerEXT in a session."""
+    """Both hands' XrHandTrackerEXT in a session; none where the runtime gives none, though it may have promised."""
 
     def __init__(self, runtime, session):
-        self.xr = xr = runtime.xr
-        self._locate = runtime.function("xrLocateHandJointsEXT", xr.PFN_xrLocateHandJointsEXT)
-        self._trackers = []
-        for side in SIDES:
-            hand = xr.HandEXT[side.upper()]
-            info = xr.HandTrackerCreateInfoEXT(hand=hand, hand_joint_set=xr.HandJointSetEXT.DEFAULT)
-            self._trackers.append(xr.create_hand_tracker_ext(session, info))
+        self._runtime, self.xr, self._trackers = runtime, runtime.xr, []
+        if runtime.tracks_hands:
+            xr, joints = self.xr, self.xr.HandJointSetEXT.DEFAULT
+            hands = [xr.HandEXT[side.upper()] for side in SIDES]
+            infos = [xr.HandTrackerCreateInfoEXT(hand=hand, hand_joint_set=joints) for hand in hands]
+            with contextlib.suppress(xr.exception.ResultException):
+                self._trackers = [xr.create_hand_tracker_ext(session, info) for info in infos]
 
     def read(self, space, time: int) -> list[HandJoints | None]:
         """Both hands at `time` [XrTime] in `space`, None where one is not tracked."""
-        return [self._joints(tracker, space, time) for tracker in self._trackers]
+        return [self._joints(tracker, space, time) for tracker in self._trackers] or [None, None]
 
     def _joints(self, tracker, space, time: int) -> HandJoints | None:
         xr = self.xr
         locations = (xr.HandJointLocationEXT * JOINT_COUNT)()
         found = xr.HandJointLocationsEXT(joint_count=JOINT_COUNT, joint_locations=locations)
         info = xr.HandJointsLocateInfoEXT(base_space=space, time=time)
-        result = xr.check_result(self._locate(tracker, ctypes.byref(info), ctypes.byref(found)))
-        if result.is_exception():
-            raise result
+        self._runtime.call("xrLocateHandJointsEXT", tracker, ctypes.byref(info), ctypes.byref(found))
         both = int(xr.SpaceLocationFlags.ORIENTATION_VALID_BIT | xr.SpaceLocationFlags.POSITION_VALID_BIT)
         table = np.frombuffer(locations, LOCATION)
         return joints_of(table) if found.is_active and ((table["flags"] & both) == both).all() else None

@@ -111,25 +111,26 @@ class OpenXrRuntime:
         modes = [xr.EnvironmentBlendMode(m) for m in offered]
         return xr.EnvironmentBlendMode.OPAQUE if xr.EnvironmentBlendMode.OPAQUE in modes else modes[0]
 
-    def function(self, name: str, kind):
-        """An extension's function, cast to its type PFN_..."""
-        return ctypes.cast(self.xr.get_instance_proc_addr(self.instance, name), kind)
+    def call(self, name: str, *arguments) -> None:
+        """Call an extension's function. Raises the exception of a result that reports a failure."""
+        function = ctypes.cast(self.xr.get_instance_proc_addr(self.instance, name), getattr(self.xr, f"PFN_{name}"))
+        result = self.xr.check_result(function(*arguments))
+        if result.is_exception():
+            raise result
 
     def now(self) -> int | None:
         """The present as an XrTime [ns]; None where the runtime cannot tell (XR_KHR_convert_timespec_time)."""
         if TIMESPEC_EXTENSION not in self.enabled:
             return None
-        xr, answer = self.xr, self.xr.Time()
-        convert = self.function("xrConvertTimespecTimeToTimeKHR", xr.PFN_xrConvertTimespecTimeToTimeKHR)
-        present = xr.timespec(*divmod(time.clock_gettime_ns(time.CLOCK_MONOTONIC), 10**9))
-        check_result(xr, convert(self.instance, ctypes.byref(present), ctypes.byref(answer)))
+        answer = self.xr.Time()
+        present = self.xr.timespec(*divmod(time.clock_gettime_ns(time.CLOCK_MONOTONIC), 10**9))
+        self.call("xrConvertTimespecTimeToTimeKHR", self.instance, ctypes.byref(present), ctypes.byref(answer))
         return answer.value
 
     def lowest_opengl(self) -> tuple[int, int]:
         """Lowest OpenGL version (major, minor) that the runtime takes; must be asked for before each session."""
         xr, answer = self.xr, self.xr.GraphicsRequirementsOpenGLKHR()
-        ask = self.function("xrGetOpenGLGraphicsRequirementsKHR", xr.PFN_xrGetOpenGLGraphicsRequirementsKHR)
-        check_result(xr, ask(self.instance, self.system, ctypes.byref(answer)))
+        self.call("xrGetOpenGLGraphicsRequirementsKHR", self.instance, self.system, ctypes.byref(answer))
         version = xr.Version(answer.min_api_version_supported)
         return version.major, version.minor
 
@@ -175,13 +176,6 @@ def no_runtime() -> BadInput:
         "--xr: no OpenXR runtime answers; start SteamVR, Quest Link, WiVRn or Monado and make it the active one, "
         f"or {WINDOW_INSTEAD}"
     )
-
-
-def check_result(xr, result: int) -> None:
-    """Raise the exception of an XrResult that reports a failure."""
-    checked = xr.check_result(result)
-    if checked.is_exception():
-        raise checked
 
 
 def graphics_binding(xr, egl):

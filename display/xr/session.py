@@ -55,19 +55,12 @@ class XrSession:
             self.space = xr.create_reference_space(self.handle, xr.ReferenceSpaceCreateInfo(reference_space_type=kind))
             self.actions = ActionSet(runtime, self.handle)
             self._eyes = EyeSwapchains(runtime, self.handle, gl, size, len(runtime.view_sizes))
-            self._trackers, self._selector = self._hand_trackers(), InputSelector()
+            self._trackers, self._selector = HandTrackers(runtime, self.handle), InputSelector()
             self._panel = PanelLayer(runtime, self.handle, gl)
         except BaseException:
             with contextlib.suppress(xr.exception.ResultException):
                 xr.destroy_session(self.handle)
             raise
-
-    def _hand_trackers(self) -> HandTrackers | None:
-        """The hand trackers; None where a runtime that promised them does not give them."""
-        try:
-            return HandTrackers(self.runtime, self.handle) if self.runtime.tracks_hands else None
-        except self.xr.exception.ResultException:
-            return None
 
     @property
     def has_depth(self) -> bool:
@@ -122,8 +115,8 @@ class XrSession:
         """Input of each side at `time` [XrTime]: a controller or a bare hand."""
 
         def read():
-            hands = [None, None] if self._trackers is None else self._trackers.read(self.space, time)
-            return self._selector.choose(self.actions.read(self.space, time), hands, time * 1e-9)
+            controllers, hands = self.actions.read(self.space, time), self._trackers.read(self.space, time)
+            return self._selector.choose(controllers, hands, time * 1e-9)
 
         return self.guarded(read)
 
@@ -191,8 +184,7 @@ class XrSession:
         if self.handle is None:
             return
         self._eyes.close()
-        if self._trackers is not None:
-            self._trackers.close()
+        self._trackers.close()
         self._panel.close()
         handle, self.handle = self.handle, None
         with contextlib.suppress(self.xr.exception.ResultException):  # it may be gone already

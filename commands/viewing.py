@@ -131,7 +131,7 @@ def film_turntable(options: RenderOptions) -> None:
     width, height = options.size
     video = Video(options.out, width, height, fps=TURNTABLE_FPS, frames=options.frames)
     with contextlib.ExitStack() as at_end:
-        at_end.callback(video.discard)
+        at_end.callback(video.close, keep=False)
         start = time.perf_counter()
         file = ViewedFile.read(options.splats, options.up)
         gaussians = file.gaussians

@@ -36,6 +36,9 @@ LINE_SPACING = 10  # Gaussians
 FLOOR_SIZE = 8.0  # sides of the floor, in sizes of the body
 FOV = 0.55  # [rad]
 CAMERA_ELEVATION, AZIMUTH = 0.33, 0.35  # [rad] of the camera above the floor, and from +z to +x
+PANEL = 300  # [px]
+GAP, MARGIN, HEAD, FOOT = 6, 18, 104, 30  # [px]
+PAPER, INK, FAINT, ACCENT = (250, 249, 247), (40, 38, 36), (120, 116, 112), (200, 70, 40)
 FRAMING = 0.9  # what the picture shows to each side, of the body's half diagonal
 
 
@@ -52,7 +55,7 @@ class Drop:
     dt: float  # [s]
     path: str
     finite: bool
-    pictures: tuple[np.ndarray, np.ndarray]  # at the greatest compression and at the end
+    pictures: list[np.ndarray]  # at the greatest compression and at the end
 
     def row(self) -> dict:
         """The fields without the pictures."""
@@ -93,11 +96,9 @@ def _drop(world, cage: np.ndarray, young: float) -> Drop:
             speed = np.sqrt((now["v"] ** 2).sum(1).mean())
             quiet = quiet + STEP if speed < REST_SPEED else 0.0
     stats = solver.stats
-    pictures = (
-        tuple(_picture(world, cage, q) for q in (crushed, now))
-        if stats["finite"]
-        else 2 * (np.full((PANEL, PANEL, 3), 255, np.uint8),)
-    )
+    pictures = [np.full((PANEL, PANEL, 3), 255, np.uint8)] * 2
+    if stats["finite"]:
+        pictures = [_picture(world, cage, q) for q in (crushed, now)]
     return Drop(
         young=young,
         compression=float(1 - least),
@@ -122,7 +123,7 @@ def _picture(world, cage: np.ndarray, snapshot: dict) -> np.ndarray:
     """Picture (H, W, 3) uint8 of a moment, with the undeformed height beside the body."""
     world.device.solver.restore(snapshot)
     x = snapshot["x"].astype(np.float64)
-    camera = framing(x.mean(0), np.ptp(cage, axis=0), PANEL, PANEL)
+    camera = framing(x.mean(0), np.ptp(cage, axis=0))
     world.step(Frame(0.0, 0.0, [camera]))
     picture = pixels_of(world.picture)[..., :3].copy()
     mark_height(picture, camera, x, undeformed_height(cage, x))
@@ -168,20 +169,13 @@ def drop_scene(asset: Path, cage: np.ndarray, material: Material, drop: float, f
     )
 
 
-def framing(centre: np.ndarray, extent: np.ndarray, width: int, height: int) -> Camera:
+def framing(centre: np.ndarray, extent: np.ndarray) -> Camera:
     """A camera that shows a body of `extent` (3,) [m] standing on the floor around `centre` (x and z count)."""
     half = FRAMING * float(np.linalg.norm(extent)) / 2
     target = np.array([centre[0], 0.45 * extent[1], centre[2]])
     flat = np.cos(CAMERA_ELEVATION)
-    offset = (
-        half / np.tan(FOV / 2) * np.array([flat * np.sin(AZIMUTH), np.sin(CAMERA_ELEVATION), flat * np.cos(AZIMUTH)])
-    )
-    return perspective(width, height, FOV, look_at(target + offset, target))
-
-
-PANEL = 300  # [px]
-GAP, MARGIN, HEAD, FOOT = 6, 18, 104, 30  # [px]
-PAPER, INK, FAINT, ACCENT = (250, 249, 247), (40, 38, 36), (120, 116, 112), (200, 70, 40)
+    direction = np.array([flat * np.sin(AZIMUTH), np.sin(CAMERA_ELEVATION), flat * np.cos(AZIMUTH)])
+    return perspective(PANEL, PANEL, FOV, look_at(target + half / np.tan(FOV / 2) * direction, target))
 
 
 def strip(name: str, drops: list[Drop], height: float) -> np.ndarray:

@@ -46,56 +46,42 @@ def exporter(world: World, path: Path, *, body: int | None = None, shadows: bool
     if suffix in CAGES:
         bodies = moving_bodies(world, body)
         return lambda: write_cages(path, bodies, suffix)
-    shown = ShownGaussians.read(world, body)
-    return lambda: write_gaussians(path, shown.gaussians(shadows=shadows))
+    shown = shown_gaussians(world, body, shadows=shadows)
+    return lambda: write_gaussians(path, shown())
 
 
-@dataclass(frozen=True)
-class ShownGaussians:
-    """Device arrays of N Gaussians, see render/splats.py: mean (N, 3), cov (N, 6), opacity (N,), sh (N, K, 3),
-    rotation (N, 4), visibility (N,)."""
+def shown_gaussians(world: World, body: int | None, *, shadows: bool) -> Callable[[], Gaussians]:
+    """Read the Gaussians of room and bodies as the last picture showed them, without hands; or those of a body.
 
-    mean: np.ndarray
-    cov: np.ndarray
-    opacity: np.ndarray
-    sh: np.ndarray
-    rotation: np.ndarray
-    visibility: np.ndarray
+    Returns what makes a splat of them: axes from covariances, harmonics turned into the world. In shadow,
+    v (1/2 + SH) = 1/2 + SH' with SH' = v SH + (v - 1) / 2 in degree 0. Raises BadInput.
+    """
+    device, splats = world.device, world.device.splats
+    spans = [(0, device.still), (device.first, splats.count)]
+    if body is not None:
+        spans = [world.registry.gaussian_span(body)]
+    which = np.concatenate([np.arange(*span) for span in spans])
+    if len(which) == 0:
+        raise BadInput("there is nothing to export: the scene has no Gaussians")
+    all_opacities, all_harmonics, _ = splats.read(0, splats.count)
+    opacities, harmonics = all_opacities[which].astype(np.float64), all_harmonics[which]
+    fields = (splats.mean, splats.cov, splats.rotation, splats.visibility)
+    mean, cov, rotation, visibility = (field.to_numpy()[which] for field in fields)
 
-    @classmethod
-    def read(cls, world: World, body: int | None) -> ShownGaussians:
-        """The Gaussians of room and bodies as the last picture showed them, without hands; or those of a body."""
-        device, splats = world.device, world.device.splats
-        spans = [(0, device.still), (device.first, splats.count)]
-        if body is not None:
-            spans = [world.registry.gaussian_span(body)]
-        which = np.concatenate([np.arange(*span) for span in spans])
-        if len(which) == 0:
-            raise BadInput("there is nothing to export: the scene has no Gaussians")
-        opacity, sh, _ = splats.read(0, splats.count)
-        fields = (splats.mean, splats.cov, splats.rotation, splats.visibility)
-        mean, cov, rotation, visibility = (field.to_numpy()[which] for field in fields)
-        return cls(mean, cov, opacity[which], sh[which], rotation, visibility)
-
-    def gaussians(self, *, shadows: bool) -> Gaussians:
-        """The same as a splat: axes from covariances, harmonics turned into the world.
-
-        In shadow, v (1/2 + SH) = 1/2 + SH' with SH' = v SH + (v - 1) / 2 in degree 0.
-        """
-        xx, xy, xz, yy, yz, zz = self.cov.astype(np.float64).T
-        variances, axes = np.linalg.eigh(np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3))
+    def splat() -> Gaussians:
+        variances, axes = np.linalg.eigh(cov.astype(np.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))
         axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
         largest = np.maximum(variances[:, 2:], 1e-16)
         log_scales = 0.5 * np.log(np.maximum(variances, FLATTEST * largest))
-        opacity = np.clip(self.opacity.astype(np.float64), OPACITY_EDGE, 1 - OPACITY_EDGE)
-        sh = self.sh.copy()
-        turned = (np.abs(self.rotation[:, 0]) < 1.0 - 1e-7) & (sh[:, 1:] != 0).any((1, 2))
-        sh[turned] = rotate_sh(sh[turned], matrices_from_quaternions(self.rotation[turned]))
+        opacity, sh = np.clip(opacities, OPACITY_EDGE, 1 - OPACITY_EDGE), harmonics.copy()
+        turned = (np.abs(rotation[:, 0]) < 1.0 - 1e-7) & (sh[:, 1:] != 0).any((1, 2))
+        sh[turned] = rotate_sh(sh[turned], matrices_from_quaternions(rotation[turned]))
         if shadows:
-            sh *= self.visibility[:, None, None]
-            sh[:, 0] += (0.5 / C0) * (self.visibility[:, None] - 1.0)
-        logit = np.log(opacity / (1 - opacity))
-        return Gaussians.of(self.mean, quaternions_from_matrices(axes), log_scales, logit, sh)
+            sh *= visibility[:, None, None]
+            sh[:, 0] += (0.5 / C0) * (visibility[:, None] - 1.0)
+        return Gaussians.of(mean, quaternions_from_matrices(axes), log_scales, np.log(opacity / (1 - opacity)), sh)
+
+    return splat
 
 
 @dataclass(frozen=True)

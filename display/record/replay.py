@@ -48,7 +48,7 @@ class Replay:
             return cls(path, version, about, frames, read_states(file, len(frames)))
 
     def world_options(self, options: dict) -> dict:
-        """Options of a World: the recorded ones, and `how` for the rest. Depth is for headsets."""
+        """Options of a World: the recorded ones, and these for the rest; depth is for headsets."""
         recorded = self.about.get("world", {})
         return options | {key: recorded[key] for key in field_types(WorldOptions) if key in recorded}
 

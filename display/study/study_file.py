@@ -192,18 +192,12 @@ class StudyLog:
         except BadInput as e:
             print(f"vrgs: a trial is lost: {e}", file=sys.stderr)
             return
-        print(f"{self.path}: {summary(trial)}; trial {len(study.trials)}", file=sys.stderr)
+        who = f"{trial.participant}, " if trial.participant else ""
+        goal = " (goal reached)" if trial.completed else ""
+        result = f"score {trial.score:g}{goal} in {trial.seconds:.1f} s, {trial.grips} grips; trial {len(study.trials)}"
+        print(f"{self.path}: {who}{trial.task}, {trial.setting}: {result}", file=sys.stderr)
 
     def close(self) -> None:
         """End the trial, and wait until all is written. Further calls do nothing."""
         self._end()
         self._writer.shutdown()
-
-
-def summary(trial: Trial) -> str:
-    """A trial in half a line."""
-    who = f"{trial.participant}, " if trial.participant else ""
-    goal = " (goal reached)" if trial.completed else ""
-    return (
-        f"{who}{trial.task}, {trial.setting}: score {trial.score:g}{goal} in {trial.seconds:.1f} s, {trial.grips} grips"
-    )

@@ -122,15 +122,14 @@ class InputSelector:
 
     def choose(self, controllers: list[Controller], hands: list[HandJoints | None], time: float) -> list[Controller]:
         """The input of each side at `time` [s]."""
-        return [self._choose(h, c, joints, time) for h, (c, joints) in enumerate(zip(controllers, hands, strict=True))]
-
-    def _choose(self, h: int, controller: Controller, joints: HandJoints | None, time: float) -> Controller:
-        hand = self._gestures[h].read(joints)
-        if controller.used:
-            self._controller_used[h] = time
-        if joints is not None:
-            self._hand_seen[h] = time
-        if controller.grip is not None and time - self._controller_used[h] < HANDOVER:
-            return controller
-        lost = joints is None and time - self._hand_seen[h] > LOST_TIMEOUT
-        return controller if lost else hand
+        chosen = []
+        for h, (controller, joints) in enumerate(zip(controllers, hands, strict=True)):
+            hand = self._gestures[h].read(joints)
+            if controller.used:
+                self._controller_used[h] = time
+            if joints is not None:
+                self._hand_seen[h] = time
+            in_use = controller.grip is not None and time - self._controller_used[h] < HANDOVER
+            lost = joints is None and time - self._hand_seen[h] > LOST_TIMEOUT
+            chosen.append(controller if in_use or lost else hand)
+        return chosen

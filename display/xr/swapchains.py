@@ -93,12 +93,13 @@ def supported_format(xr, session, wanted: tuple[int, ...]) -> int | None:
 
 
 class ColourTarget:
-    """A swapchain of 8-bit colour textures of `size` (width, height) [px], as framebuffers to draw into.
+    """A swapchain of 8-bit colour textures of `size` (width, height) [px], as framebuffers to draw into, and of depth
+    textures where there is a `depth_format`.
 
     Raises BadInput where the runtime has no such format.
     """
 
-    def __init__(self, runtime, session, gl, size: tuple[int, int], *, opaque: bool):
+    def __init__(self, runtime, session, gl, size: tuple[int, int], *, opaque: bool, depth_format: int | None = None):
         self._gl, xr = gl, runtime.xr
         chosen = supported_format(xr, session, (SRGB8_ALPHA8, RGBA8))
         if chosen is None:
@@ -109,15 +110,16 @@ class ColourTarget:
         self.swapchain = Swapchain(xr, session, size, chosen)
         textures = [gl.external_texture(name, size, 4, 0, "f1") for name in self.swapchain.textures]
         self._framebuffers = [gl.framebuffer(color_attachments=[t]) for t in textures]
+        self.depth = None if depth_format is None else DepthTarget(xr, session, gl, depth_format, size)
 
-    def draw(self, texture, *, first_row: int, size: tuple[int, int], depth: DepthTarget | None = None) -> None:
+    def draw(self, texture, *, first_row: int, size: tuple[int, int]) -> None:
         """Draw `size` (width, height) [px] of a texture, from a row on, into the lower left of the next image."""
         gl = self._gl
         gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
         with self.swapchain.acquired() as index:
             framebuffer = self._framebuffers[index]
             framebuffer.use()
-            with depth.attached(framebuffer) if depth is not None else contextlib.nullcontext():
+            with self.depth.attached(framebuffer) if self.depth is not None else contextlib.nullcontext():
                 gl.viewport = (0, 0, *size)
                 texture.use(0)
                 self._program["rows"] = (first_row, size[1])
@@ -129,6 +131,8 @@ class ColourTarget:
             for resource in (*self._framebuffers, self._triangle, self._program):
                 resource.release()
             self.swapchain.close()
+            if self.depth is not None:
+                self.depth.swapchain.close()
 
 
 class DepthTarget:
@@ -168,39 +172,33 @@ class EyeSwapchains:
     """
 
     def __init__(self, runtime, session, gl, size: tuple[int, int], views: int):
-        self.xr, self.size = runtime.xr, size
-        self._drawn = size  # of the last pictures
-        self._colour = [ColourTarget(runtime, session, gl, size, opaque=True) for _ in range(views)]
+        self.xr, self._drawn = runtime.xr, size  # of the last pictures
         takes_depth = DEPTH_EXTENSION in runtime.enabled
         chosen = supported_format(self.xr, session, DEPTH_FORMATS) if takes_depth else None
         self.has_depth = chosen is not None
-        self._depth: list[DepthTarget | None] = [None] * views
-        if self.has_depth:
-            self._depth = [DepthTarget(self.xr, session, gl, chosen, size) for _ in range(views)]
+        self._eyes = [ColourTarget(runtime, session, gl, size, opaque=True, depth_format=chosen) for _ in range(views)]
 
     def draw(self, texture, size: tuple[int, int]) -> None:
         """Hand over the views of a picture, each of `size` [px], one below the other in a texture of that width."""
         self._drawn = size
-        for view, (colour, depth) in enumerate(zip(self._colour, self._depth, strict=True)):
-            colour.draw(texture, first_row=view * size[1], size=size, depth=depth)
+        for view, eye in enumerate(self._eyes):
+            eye.draw(texture, first_row=view * size[1], size=size)
 
     def layer(self, space, views):
         """The projection layer of what was drawn for these XrViews."""
         xr = self.xr
-        shown = [xr.CompositionLayerProjectionView() for _ in self._colour]
-        for at, colour, depth, view in zip(shown, self._colour, self._depth, views, strict=True):
+        shown = [xr.CompositionLayerProjectionView() for _ in self._eyes]
+        for at, eye, view in zip(shown, self._eyes, views, strict=True):
             at.pose, at.fov = view.pose, view.fov
-            set_sub_image(at.sub_image, colour.swapchain, self._drawn)
-            if depth is not None:
-                at.next = depth.chained(at.sub_image.image_rect)
+            set_sub_image(at.sub_image, eye.swapchain, self._drawn)
+            if eye.depth is not None:
+                at.next = eye.depth.chained(at.sub_image.image_rect)
         return xr.CompositionLayerProjection(space=space, views=shown)
 
     def close(self) -> None:
         """Give the textures back. Further calls do nothing."""
-        for depth, colour in zip(self._depth, self._colour, strict=True):
-            if depth is not None:
-                depth.swapchain.close()
-            colour.close()
+        for eye in self._eyes:
+            eye.close()
 
 
 def set_sub_image(sub_image, swapchain: Swapchain, size: tuple[int, int]) -> None:

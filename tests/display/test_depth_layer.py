@@ -1,5 +1,7 @@
 """The depth that goes with a headset's picture: out of the renderer, and into the runtime's textures."""
 
+from types import SimpleNamespace as N
+
 import numpy as np
 import pytest
 
@@ -63,13 +65,6 @@ def gl():
     context.close()
 
 
-class Runtime:
-    name = "FakeXr"
-
-    def __init__(self, xr):
-        self.xr, self.enabled = xr, [DEPTH]
-
-
 @pytest.fixture
 def eyes(gl):
     """(eyes of 40 x 30 px, the textures of the runtime: [colour of an eye's images, depth, ...])."""
@@ -83,7 +78,8 @@ def eyes(gl):
         return texture.glo
 
     xr = FakeXr(images=image)
-    made = EyeSwapchains(Runtime(xr), xr.create_session(xr.create_instance(None), None), gl, (40, 30), 2)
+    runtime, session = N(name="FakeXr", xr=xr, enabled=[DEPTH]), xr.create_session(xr.create_instance(None), None)
+    made = EyeSwapchains(runtime, session, gl, (40, 30), 2)
     yield made, textures, xr
     made.close()
     assert not xr.alive & set(xr.swapchains)
@@ -96,7 +92,7 @@ def test_colour_and_depth_of_both_eyes_are_in_the_same_part_of_their_textures(gl
     for turn in range(4):  # more than there are images
         picture = np.random.default_rng(turn).integers(0, 256, (2 * height, width, 4), np.uint8)
         made.draw(gl.texture((width, 2 * height), 4, picture.tobytes()), size)
-        for view, (colour, deep) in enumerate(zip(textures[:6:3], textures[6::3], strict=True)):
+        for view, (colour, deep) in enumerate(zip(textures[::6], textures[3::6], strict=True)):
             at = textures.index(colour) + turn % 3
             shown = np.frombuffer(textures[at].read(), np.uint8).reshape(30, 40, 4)[:height, :width][::-1]
             wanted = picture[view * height : (view + 1) * height]

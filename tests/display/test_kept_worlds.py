@@ -23,7 +23,7 @@ from core.rotation import matrices_from_quaternions
 from core.tetmesh import tet_volumes
 from core.vocabulary import Body, Hand, Light, Plane
 from display import user_commands as cmd
-from display.keep.scene_export import ShownGaussians, exporter, moving_bodies, von_mises
+from display.keep.scene_export import exporter, moving_bodies, shown_gaussians, von_mises
 from display.keep.scene_state import located, put_state, state_of
 from display.keep.state_file import read_state, write_state
 from display.picture import pixels_of
@@ -65,7 +65,7 @@ def drawn(world):
     from render.renderer import Renderer
     from render.splats import Splats
 
-    splats = Splats(ShownGaussians.read(world, None).gaussians(shadows=False))
+    splats = Splats(shown_gaussians(world, None, shadows=False)())
     renderer = Renderer(splats, *SIZE, background=world.scene.background, sort=MOVING_SORT)
 
     def draw(g) -> np.ndarray:

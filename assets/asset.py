@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from assets.animation import Animation, read_animation, write_animation
@@ -40,7 +39,7 @@ WEIGHT_SUM_TOLERANCE = 1e-3  # of the four weights of a corner, as float32 round
 VOLUME_TOLERANCE = 1e-3  # relative, between a cage's tets and its surface
 
 # Attributes of `material` that a file may lack, and what that stands for.
-OPTIONAL_MATERIAL = {f.name: f.default for f in fields(Material) if f.name in ("damping", "kinetic_friction")}
+OPTIONAL_MATERIAL = {"damping": Material.damping, "kinetic_friction": Material.kinetic_friction}
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ class Asset:
 
     @property
     def grids(self) -> list[DistanceGrid]:
-        """The asset's distance grid and the finer ones of its environment, as far as there are any."""
+        """The asset's distance grid and the finer ones of its environment."""
         fine = self.environment.fine_grids if self.environment is not None else ()
         return [grid for grid in (self.sdf, *fine) if grid is not None]
 
@@ -199,10 +198,19 @@ class Asset:
             sort = file.text("", "sort") if file.has_text("", "sort") else ""
             objects = file.json("", "objects", tuple[str, ...]) if file.has_text("", "objects") else ()
             gaussians = replace(gaussians, objects=objects, sort=sort)
-            cage = _read_cage(file) if file.has("cage") else None
-            embedding = None
-            if file.has("embedding"):
-                embedding = _read_quantised_embedding(file, gaussians, cage) if quantised else _read_embedding(file)
+            cage = embedding = None
+            if file.has("cage"):
+                tets, surface = (file.indices(f"cage/{name}", (None, n)) for name, n in (("tets", 4), ("surface", 3)))
+                cage = Cage(file.floats("cage/vertices", (None, 3)), tets, surface)
+            if file.has("embedding") and quantised:
+                if cage is None:
+                    raise file.error("has an embedding but no cage")
+                gaussians.check(str(path))  # the weights are computed from both
+                cage.check(str(path))
+                embedding = CageEmbedding(*read_quantised_embedding(file, gaussians, cage))
+            elif file.has("embedding"):
+                host = file.indices("embedding/host", (None, 4))
+                embedding = CageEmbedding(host, file.floats("embedding/weights", (len(host), 4, 4)))
             asset = cls(
                 gaussians,
                 cage,
@@ -231,16 +239,16 @@ class Asset:
                 write_text(file, "objects", json.dumps(self.gaussians.objects))
             if self.gaussians.sort:
                 write_text(file, "sort", self.gaussians.sort)
-            lossless = {"cage": self.cage}
+            lossless = [] if quantised else [("gaussians", self.gaussians, ROWS)]
+            if self.cage is not None:
+                lossless.append(("cage", self.cage, ("vertices", "tets", "surface")))
             if quantised:
                 write_quantised_gaussians(file, self.gaussians)
-                if self.embedding is not None:
-                    host, weights = self.embedding.host, self.embedding.weights
-                    write_quantised_embedding(file, host, weights, self.gaussians, self.cage)
-            else:
-                lossless |= {"gaussians": self.gaussians, "embedding": self.embedding}
-            for group, arrays in lossless.items():
-                names = ROWS if group == "gaussians" else [f.name for f in fields(arrays)] if arrays is not None else ()
+            if self.embedding is not None and quantised:
+                write_quantised_embedding(file, self.embedding.host, self.embedding.weights, self.gaussians, self.cage)
+            elif self.embedding is not None:
+                lossless.append(("embedding", self.embedding, ("host", "weights")))
+            for group, arrays, names in lossless:
                 for name in names:
                     dtype = INTEGER_DATASETS.get(name, np.float32)
                     write_dataset(file, f"{group}/{name}", getattr(arrays, name), dtype)
@@ -249,7 +257,10 @@ class Asset:
             if self.environment is not None:
                 write_environment(file, self.environment, quantised=quantised)
             if self.material is not None:
-                _write_material(file, self.material)
+                attributes = file.create_group("material").attrs
+                for name, value in asdict(self.material).items():
+                    if name not in OPTIONAL_MATERIAL or value != OPTIONAL_MATERIAL[name]:
+                        attributes[name] = float(value)
             if self.animation is not None:
                 write_animation(file, self.animation)
 
@@ -264,16 +275,9 @@ def read_material(file: Hdf5Reader) -> Material | None:
     """The material of an open asset file, not checked; None if it has none. Raises BadInput."""
     if not file.has("material"):
         return None
-    names = [f.name for f in fields(Material)]
-    present = [name for name in names if name not in OPTIONAL_MATERIAL or file.has_attribute("material", name)]
-    return Material(**{name: file.number("material", name) for name in present})
-
-
-def _write_material(file: h5py.File, material: Material) -> None:
-    group = file.create_group("material")
-    for name, value in asdict(material).items():
-        if name not in OPTIONAL_MATERIAL or value != OPTIONAL_MATERIAL[name]:
-            group.attrs[name] = float(value)
+    optional = [name for name in OPTIONAL_MATERIAL if file.has_attribute("material", name)]
+    names = [*("young", "poisson", "density", "friction"), *optional]
+    return Material(**{name: file.number("material", name) for name in names})
 
 
 def _version(file: Hdf5Reader) -> int:
@@ -298,27 +302,6 @@ def _read_gaussians(file: Hdf5Reader) -> Gaussians:
         file.floats("gaussians/sh", (n, None, 3)),
         file.indices("gaussians/object_id", (n,), np.uint16),
     )
-
-
-def _read_cage(file: Hdf5Reader) -> Cage:
-    return Cage(
-        file.floats("cage/vertices", (None, 3)),
-        file.indices("cage/tets", (None, 4)),
-        file.indices("cage/surface", (None, 3)),
-    )
-
-
-def _read_embedding(file: Hdf5Reader) -> CageEmbedding:
-    host = file.indices("embedding/host", (None, 4))
-    return CageEmbedding(host, file.floats("embedding/weights", (len(host), 4, 4)))
-
-
-def _read_quantised_embedding(file: Hdf5Reader, gaussians: Gaussians, cage: Cage | None) -> CageEmbedding:
-    if cage is None:
-        raise file.error("has an embedding but no cage")
-    gaussians.check(str(file.path))  # the weights are computed from both
-    cage.check(str(file.path))
-    return CageEmbedding(*read_quantised_embedding(file, gaussians, cage))
 
 
 def split_components(asset: Asset) -> list[Asset]:

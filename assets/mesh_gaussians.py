@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -125,10 +126,8 @@ def texture_colours(part: MeshPart, face: np.ndarray, weights: np.ndarray, spaci
     size = max(1, round(width * factor)), max(1, round(height * factor))
     texture = cv2.resize(part.texture, size, interpolation=cv2.INTER_AREA) if factor < 1.0 else part.texture
     u, v = (uv[:, 0] % 1.0) * size[0] - 0.5, (1.0 - uv[:, 1] % 1.0) * size[1] - 0.5
-    left, top = np.floor(u).astype(int), np.floor(v).astype(int)
-    s, t = (u - left)[:, None], (v - top)[:, None]
-    at = [texture[(top + j) % size[1], (left + i) % size[0]] / 255.0 for j in (0, 1) for i in (0, 1)]
-    return rgba * ((1 - t) * ((1 - s) * at[0] + s * at[1]) + t * ((1 - s) * at[2] + s * at[3]))
+    channels = [map_coordinates(texture[..., c] / 255.0, (v, u), order=1, mode="grid-wrap") for c in range(4)]
+    return rgba * np.stack(channels, axis=1)
 
 
 def texels_per_length(part: MeshPart) -> float:
@@ -187,34 +186,36 @@ def triangle_areas(corners: np.ndarray) -> np.ndarray:
 
 def cover(part: MeshPart, spacing: float, rng: np.random.Generator) -> Gaussians:
     """Gaussians `spacing` [m] apart on a part, and rows of them along its creases and borders."""
+    from trimesh.triangles import points_to_barycentric
+
     mesh = Mesh(part.vertices, part.faces)
     corners, normal = mesh.vertices[mesh.faces], face_normals(mesh)
     total = np.cumsum(triangle_areas(corners))
     edges = edges_of(mesh)
     along = np.full(len(edges.a), spacing)
     edge_points = points_along(edges, along)
-    found = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, int))]
+    points, face = np.zeros((0, 3)), np.zeros(0, int)
     for _ in range(ROUNDS if len(total) else 0):
         count = rng.poisson(CANDIDATES * total[-1] / spacing**2) + 1
-        face = np.searchsorted(total, rng.random(count) * total[-1]).clip(0, len(total) - 1)
+        some = np.searchsorted(total, rng.random(count) * total[-1]).clip(0, len(total) - 1)
         r, t = np.sqrt(rng.random(count)), rng.random(count)
-        points = np.einsum("nk,nkd->nd", np.stack([1 - r, r * (1 - t), r * t], 1), corners[face])
-        free, near = np.ones(count, bool), near_edges(edge_points, points, spacing)
-        away = distance_to_edges(edge_points, points[near], normal[face[near]], 2 * spacing)
+        x = np.einsum("nk,nkd->nd", np.stack([1 - r, r * (1 - t), r * t], 1), corners[some])
+        free, near = np.ones(count, bool), near_edges(edge_points, x, spacing)
+        away = distance_to_edges(edge_points, x[near], normal[some[near]], 2 * spacing)
         free[near] = away >= EDGE_CLEARANCE * spacing
-        points, face = points[free], face[free]
-        taken = tuple(np.concatenate(x) for x in zip(*found, strict=True))
-        kept = blue_noise(points, normal[face], spacing, taken[:2])
-        found.append((points[kept], normal[face][kept], face[kept]))
-    points, normals, face = (np.concatenate(x) for x in zip(*found, strict=True))
+        x, some = x[free], some[free]
+        kept = blue_noise(x, normal[some], spacing, (points, normal[face]))
+        points, face = np.concatenate([points, x[kept]]), np.concatenate([face, some[kept]])
+    normals = normal[face]
     flat = np.eye(3) - normals[:, :, None] * normals[:, None]
-    row_points, row_normals, row_covariance = rows_along(edges, along)
-    points, normals = np.concatenate([points, row_points]), np.concatenate([normals, row_normals])
+    row_points, row_covariance, row_edge = rows_along(edges, along)
+    points, face = np.concatenate([points, row_points]), np.concatenate([face, edges.face[row_edge]])
+    normals = normal[face]
     covariance = np.concatenate([(SIGMA * spacing) ** 2 * flat, row_covariance])
     near = near_edges(edge_points, points, spacing)
     covariance[near] = clip_to_edges(edge_points, points[near], normals[near], covariance[near])
-    face = np.concatenate([face, nearest_faces(corners, normal, row_points, row_normals)])
-    rgba = texture_colours(part, face, barycentric(points, corners[face]), spacing)
+    weights = points_to_barycentric(corners[face], points, method="cross")  # exact for slivers, too
+    rgba = texture_colours(part, face, weights, spacing)
     return gaussians_of(points, normals, covariance, rgba, spacing)
 
 
@@ -224,29 +225,6 @@ def near_edges(edges: EdgePoints, points: np.ndarray, spacing: float) -> np.ndar
         return np.zeros(0, int)
     reach = 3.0 * spacing + float(edges.half.max())
     return np.flatnonzero(np.isfinite(cKDTree(edges.points).query(points, distance_upper_bound=reach)[0]))
-
-
-def nearest_faces(corners: np.ndarray, normal: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The face (N,) on which each point of a row lies, of those near it that have its normal."""
-    if not len(points):
-        return np.zeros(0, int)
-    samples = np.concatenate([corners.mean(1), *(0.9 * corners[:, k] + 0.1 * corners.mean(1) for k in range(3))])
-    owner = np.tile(np.arange(len(corners)), 4)
-    near = owner[cKDTree(samples).query(points, k=min(16, len(samples)))[1].reshape(len(points), -1)]
-    weights = barycentric(np.repeat(points, near.shape[1], axis=0), corners[near.reshape(-1)])
-    outside = np.abs(weights).sum(1).reshape(near.shape) - 1.0  # 0 inside
-    other = 1.0 - (normal[near] * normals[:, None]).sum(2)
-    return near[np.arange(len(points)), (outside + other).argmin(1)]
-
-
-def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Barycentric weights (N, 3) of points (N, 3) projected onto the planes of triangles (N, 3, 3)."""
-    u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
-    uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
-    wu, wv = (w * u).sum(1), (w * v).sum(1)
-    d = np.maximum(uu * vv - uv * uv, 1e-30)
-    b, c = (vv * wu - uv * wv) / d, (uu * wv - uv * wu) / d
-    return np.stack([1 - b - c, b, c], 1)
 
 
 def gaussians_of(

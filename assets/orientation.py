@@ -41,9 +41,9 @@ def rotation_to_up(up: str) -> np.ndarray:
     return np.rint(rotation_between(AXES[up], (0.0, 1.0, 0.0)))
 
 
-def up_probabilities(gaussians: Gaussians, prior: dict[str, float] | None = None) -> dict[str, float]:
-    """Probability of each axis of the file, "+x" to "-z", to point up; `prior` of the axes, None: FILE_PRIOR."""
-    cues, prior = up_cues(gaussians), prior or FILE_PRIOR
+def up_probabilities(gaussians: Gaussians, prior: dict[str, float] = FILE_PRIOR) -> dict[str, float]:
+    """Probability of each axis of the file, "+x" to "-z", to point up."""
+    cues = up_cues(gaussians)
     given = np.array([prior[up] for up in AXES])
     given /= given.sum()
     votes = np.array([sum(w * cues[up][name] for name, w in WEIGHTS.items()) for up in AXES])
@@ -123,22 +123,21 @@ def up_cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
         p = points @ turn.T
         low, high = robust_bounds(p)
         longest = float((high - low).max())
-        below, above = outermost_points(p, low, longest)
-        bright = float(luma[above].mean() - luma[below].mean())
-        foot = wider_below(p, low, high, longest)
+        bright, foot = brighter_above(p, luma, low, longest), wider_below(p, low, high, longest)
         even = {"sharp": float(areas[np.abs(normals @ turn[1]) > SHARP_COS].sum()), "askew": askew(p, low, longest)}
         for name, sign in (("+", 1.0), ("-", -1.0)):
             found[name + "xyz"[axis]] = {"bright": sign * bright, "foot": sign * foot} | even
     return found
 
 
-def outermost_points(p: np.ndarray, low: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the lowest and of the highest point (N, 3) in each column along y that holds any, (C,) each."""
+def brighter_above(p: np.ndarray, luma: np.ndarray, low: np.ndarray, longest: float) -> float:
+    """Mean brightness of the highest of the points (N, 3) in each column along y, less that of the lowest."""
     pixel = np.floor((p[:, [0, 2]] - low[[0, 2]]) / longest * VIEW_PIXELS).astype(np.int64)
     column = pixel[:, 0] * (4 * VIEW_PIXELS) + pixel[:, 1]
     order = np.lexsort([p[:, 1], column])
     edge = np.flatnonzero(np.diff(column[order])) + 1
-    return order[np.r_[0, edge]], order[np.r_[edge - 1, len(order) - 1]]
+    below, above = order[np.r_[0, edge]], order[np.r_[edge - 1, len(order) - 1]]
+    return float(luma[above].mean() - luma[below].mean())
 
 
 def wider_below(p: np.ndarray, low: np.ndarray, high: np.ndarray, longest: float) -> float:
@@ -246,15 +245,14 @@ def up_of_cameras(world_to_camera: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _costs(axes: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Cost (V, 4) of each picture for each number of quarter turns, given the vertical `up`."""
-    along = axes @ up  # (V, 4)
-    roll = np.roll(along, -1, axis=1)  # sine of the roll that is left
-    held = np.minimum((roll / ROLL) ** 2, OUTLIER**2) / 2
+    along = axes @ up
+    sine_of_roll = np.roll(along, -1, axis=1)
+    held = np.minimum((sine_of_roll / ROLL) ** 2, OUTLIER**2) / 2
     tilt = (1 - along.clip(-1, 1)) / TILT**2  # about half the square of the angle
     return held + np.minimum(tilt, OUTLIER**2) + QUARTER_COST
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
-    """The vector (3,) with length 1; zero stays zero."""
     return v / max(np.linalg.norm(v), 1e-12)
 
 

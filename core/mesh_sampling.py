@@ -64,7 +64,7 @@ class HalfEdges:
     """Segments of edges, one for each adjacent face.
 
     a, b         ends of the segment [m], (E, 3), with the face on its left
-    normals      unit normals of the faces, (E, 3)
+    face         index of the face, (E,);  normals  unit normals of the faces, (E, 3)
     whole        lengths of the edges that the segments belong to [m], (E,)
     to_corner    distances of both ends from the corners where the edge begins and ends [m], (E, 2); infinite where
                  the edge continues smoothly
@@ -72,6 +72,7 @@ class HalfEdges:
 
     a: np.ndarray
     b: np.ndarray
+    face: np.ndarray
     normals: np.ndarray
     whole: np.ndarray
     to_corner: np.ndarray
@@ -105,13 +106,14 @@ def edges_of(mesh: Mesh) -> HalfEdges:
     first, last = np.empty(len(count), int), np.empty(len(count), int)
     first[inverse[::-1]], last[inverse] = face[::-1], face
     use = ((count == 1) | ((normal[first] * normal[last]).sum(1) < CREASE_COSINE))[inverse]
-    a, b, normal = mesh.vertices[half[use, 0]], mesh.vertices[half[use, 1]], normal[face[use]]
+    a, b, face = mesh.vertices[half[use, 0]], mesh.vertices[half[use, 1]], face[use]
+    normal = normal[face]
     whole = np.linalg.norm(b - a, axis=1)
     corner = ~_continues_smoothly(half[use], (b - a) / np.maximum(whole, 1e-12)[:, None], normal)
     e, start, stop = _split_evenly(whole, MAX_SEGMENT)
     at = (b - a)[e]
     to_corner = np.where(corner[e], np.stack([start, 1 - stop], 1) * whole[e, None], np.inf)
-    return HalfEdges(a[e] + start[:, None] * at, a[e] + stop[:, None] * at, normal[e], whole[e], to_corner)
+    return HalfEdges(a[e] + start[:, None] * at, a[e] + stop[:, None] * at, face[e], normal[e], whole[e], to_corner)
 
 
 def _continues_smoothly(half: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -142,7 +144,7 @@ def points_along(edges: HalfEdges, spacing: np.ndarray) -> EdgePoints:
 
 
 def rows_along(edges: HalfEdges, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of surfels just inside the faces: points and normals (N, 3), covariances (N, 3, 3).
+    """Rows of surfels just inside the faces: points (N, 3), covariances (N, 3, 3), and the edge (N,) of each.
 
     Long edges are straight, so their points are farther apart; each end gets one additional, small surfel.
     """
@@ -161,7 +163,7 @@ def rows_along(edges: HalfEdges, spacing: np.ndarray) -> tuple[np.ndarray, np.nd
     d, i = direction[e], inward[e]
     covariance = width[:, None, None] ** 2 * d[:, :, None] * d[:, None]
     covariance += (SIGMA_OVER_EDGE_DISTANCE * ROW_INSET * spacing[e, None, None]) ** 2 * i[:, :, None] * i[:, None]
-    return points, edges.normals[e], covariance
+    return points, covariance, e
 
 
 def distance_to_edges(edges: EdgePoints, points: np.ndarray, normals: np.ndarray, max_distance: float) -> np.ndarray:

@@ -18,8 +18,7 @@ class TetLocator:
     """Point location in a tetrahedral mesh through a uniform grid of cells, in NumPy and SciPy.
 
     A cell lists the tets that may touch it, so `find` is exact up to rounding. Cells are half as wide as a tet: about
-    eight candidates each. Cell (i, j, k) has its corner at origin + cell_size (i, j, k) and the flat index c; its
-    tets are candidates[cell_start[c] : cell_start[c + 1]].
+    eight candidates each. Cell (i, j, k) has its corner at origin + cell_size (i, j, k).
 
     vertices, tets    [m] (V, 3) float64, (T, 4) of positive volume
     first_vertex      position of each tet's first vertex [m], (T, 3)
@@ -67,7 +66,8 @@ class TetLocator:
         within = np.logical_and.reduce([(index[:, i] >= 0) & (index[:, i] < self.grid_shape[i]) for i in range(3)])
         cell = np.where(within, np.ravel_multi_index(np.where(within[:, None], index, 0).T, self.grid_shape), 0)
         host = np.full(len(points), -1, np.int64)
-        todo = np.flatnonzero(within & (self.cell_start[cell + 1] > self.cell_start[cell]))
+        _, cell_start = self._cell_lists
+        todo = np.flatnonzero(within & (cell_start[cell + 1] > cell_start[cell]))
         todo = todo[np.argsort(cell[todo], kind="stable")]  # neighbours share candidates: they stay in the cache
         for begin in range(0, len(todo), POINTS_AT_ONCE):
             self._find_some(todo[begin : begin + POINTS_AT_ONCE], cell, points, host)
@@ -92,21 +92,12 @@ class TetLocator:
                     samples.append(a + u * (b - a) + v * (c - a))
         return np.concatenate(samples), np.tile(boundary // 4, len(samples))
 
-    @property
-    def candidates(self) -> np.ndarray:
-        """Tets that may touch a cell, cell after cell."""
-        return self._cell_lists[0]
-
-    @property
-    def cell_start(self) -> np.ndarray:
-        """Begin of each cell's tets in `candidates`, and their end."""
-        return self._cell_lists[1]
-
     def _find_some(self, left: np.ndarray, cell: np.ndarray, points: np.ndarray, host: np.ndarray) -> None:
         """Try each cell's first candidate, then the second where that failed, and so on."""
-        at, end, p = self.cell_start[cell[left]], self.cell_start[cell[left] + 1], points[left]
+        candidates, cell_start = self._cell_lists
+        at, end, p = cell_start[cell[left]], cell_start[cell[left] + 1], points[left]
         while len(left):
-            tet = self.candidates[at]
+            tet = candidates[at]
             a, b, c = np.einsum("nij,nj->ni", self.weight_gradients[tet], p - self.first_vertex[tet]).T
             inside = (a >= WEIGHT_MIN) & (b >= WEIGHT_MIN) & (c >= WEIGHT_MIN) & (a + b + c <= 1 - WEIGHT_MIN)
             host[left[inside]] = tet[inside]
@@ -137,7 +128,10 @@ class TetLocator:
 
     @cached_property
     def _cell_lists(self) -> tuple[np.ndarray, np.ndarray]:
-        """`candidates` and `cell_start`, made on first use."""
+        """Tets that may touch a cell, cell after cell, and where those of each cell begin (and the last end).
+
+        Made on first use: a device search makes its own.
+        """
         first, extent, cell_size = self.box_begin, self.box_extent, self.cell_size
         counts = extent.prod(1)
         tet = np.repeat(np.arange(len(counts), dtype=np.int32), counts)

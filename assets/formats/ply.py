@@ -55,14 +55,11 @@ class Element:
         return np.dtype({"names": self.names, "formats": [order + t for t in self.types]})
 
 
-def read_header(path: Path, file, comments: list[str] | None = None) -> tuple[str, list[Element]]:
-    """Byte order ("" for text) and elements; leaves the file at the first byte after the header.
-
-    Out: `comments` gets the text of each comment.
-    """
+def read_header(path: Path, file) -> tuple[str, list[Element], list[str]]:
+    """Byte order ("" for text), elements and comments; leaves the file at the first byte after the header."""
     if file.readline(LINE_MAX).rstrip() != b"ply":
         raise BadInput(f"{path}: not a .ply file")
-    order, elements = None, []
+    order, elements, comments = None, [], []
     for raw in islice(iter(lambda: file.readline(LINE_MAX), b""), LINES_MAX):
         words = raw.decode("latin-1").split()
         match words:
@@ -72,10 +69,10 @@ def read_header(path: Path, file, comments: list[str] | None = None) -> tuple[st
                 for element in elements:
                     if len(set(element.names)) < len(element.names):
                         raise BadInput(f"{path}: a property of {element.name} appears twice")
-                return order, elements
-            case ["comment", *_] if comments is not None:
+                return order, elements, comments
+            case ["comment", *_]:
                 comments.append(raw.decode("utf-8", "replace").strip().removeprefix("comment").strip())
-            case [] | ["comment" | "obj_info", *_]:
+            case [] | ["obj_info", *_]:
                 pass
             case ["format", name, "1.0"] if name in FORMATS:
                 order = FORMATS[name]
@@ -118,36 +115,24 @@ LOGIT_MAX = np.float32(np.log(1 / ALPHA_EPSILON - 1))  # for infinities, which t
 def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     """Gaussians of a .ply, SH degree 0 to 3; those that are not finite are dropped and reported. Raises BadInput."""
     path = Path(path)
-    comments: list[str] = []
     with open_input(path) as file:
-        order, elements = read_header(path, file, comments)
+        order, elements, comments = read_header(path, file)
+        sort = next((sort for sort in SORTS if f"sort {sort}" in comments), "")
         vertex = next((e for e in elements if e.name == "vertex"), None)
         if vertex is None:
             raise BadInput(f"{path}: has no vertex element")
         if "packed_position" in vertex.names:
-            return replace(read_compressed(path, file, order, elements, report), sort=_order(comments))
-        _check_vertex(path, vertex)
-        rest = _rest_count(path, vertex)
-        if order == "":
-            rows = _text_rows(path, file, vertex, elements[: elements.index(vertex)])
-        else:
-            rows = binary_rows(path, file, file.tell(), elements, vertex, order)
-
-    floats = [name for name in vertex.names if name != "object_id"]
-    matrix = None
-    if all(rows.dtype[name] == np.float32 for name in floats):  # as in most files
-        matrix = structured_to_unstructured(rows[floats])
+            return replace(read_compressed(path, file, order, elements, report), sort=sort)
+        rest = _check_vertex(path, vertex)
+        rows = _vertex_rows(path, file, order, elements, vertex)
 
     def columns(names: list[str]) -> np.ndarray:
-        if matrix is not None:
-            return matrix[:, [floats.index(name) for name in names]]
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is dropped below
-            return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
+            return structured_to_unstructured(rows[names], np.float32)
 
-    n = len(rows)
     sh = columns(DC)[:, None, :]
     if rest:
-        channels = columns([f"f_rest_{i}" for i in range(rest)]).reshape(n, 3, rest // 3)
+        channels = columns([f"f_rest_{i}" for i in range(rest)]).reshape(len(rows), 3, rest // 3)
         sh = np.concatenate([sh, channels.transpose(0, 2, 1)], axis=1)
     opacity = columns(["opacity"])[:, 0]
     opacity = np.where(np.isinf(opacity), np.copysign(LOGIT_MAX, opacity), opacity)
@@ -155,25 +140,24 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     ids, objects = None, ()
     if "object_id" in vertex.names:
         ids, objects = _object_ids(path, rows["object_id"], report), _object_names(comments)
-    sort = _order(comments)
     return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects, sort=sort)
 
 
 def read_vertices(path: Path) -> np.ndarray:
     """Rows of the vertex element of any .ply, (count,) with named fields. Raises BadInput."""
     with open_input(path) as file:
-        order, elements = read_header(path, file)
+        order, elements, _ = read_header(path, file)
         vertex = next((e for e in elements if e.name == "vertex"), None)
         if vertex is None or vertex.count == 0 or "list" in vertex.types:
             raise BadInput(f"{path}: holds no points")
-        if order == "":
-            return _text_rows(path, file, vertex, elements[: elements.index(vertex)])
-        return binary_rows(path, file, file.tell(), elements, vertex, order)
+        return _vertex_rows(path, file, order, elements, vertex)
 
 
-def _order(comments: list[str]) -> str:
-    """The order of blending that a header's comments name, or ""."""
-    return next((sort for sort in SORTS if f"sort {sort}" in comments), "")
+def _vertex_rows(path: Path, file, order: str, elements: list[Element], vertex: Element) -> np.ndarray:
+    """Rows of the vertex element, of a text file all float64, (count,) with named fields."""
+    if order == "":
+        return _text_rows(path, file, vertex, elements[: elements.index(vertex)])
+    return binary_rows(path, file, file.tell(), elements, vertex, order)
 
 
 def _object_ids(path: Path, values: np.ndarray, report: Report) -> np.ndarray:
@@ -198,8 +182,8 @@ def _object_names(comments: list[str]) -> tuple[str, ...]:
     return tuple(names.get(k, f"object_{k}") for k in range(1, max(names, default=0) + 1))
 
 
-def _check_vertex(path: Path, vertex: Element) -> None:
-    """Raise BadInput unless the vertex element has all properties of a Gaussian."""
+def _check_vertex(path: Path, vertex: Element) -> int:
+    """The number of f_rest properties. Raises BadInput unless the element has all properties of a Gaussian."""
     missing = [name for name in REQUIRED if name not in vertex.names]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
@@ -208,17 +192,13 @@ def _check_vertex(path: Path, vertex: Element) -> None:
         raise BadInput(f"{path}: list property {vertex.names[vertex.types.index('list')]!r} in vertex")
     if vertex.count == 0:
         raise BadInput(f"{path}: holds no Gaussians")
-
-
-def _rest_count(path: Path, vertex: Element) -> int:
-    """Number of f_rest properties. Raises BadInput unless they belong to an SH degree."""
-    names = {name for name in vertex.names if re.fullmatch(r"f_rest_\d+", name)}
-    if len(names) not in REST_COUNTS:
-        raise BadInput(f"{path}: {len(names)} f_rest properties, expected 0, 9, 24 or 45 (SH degree 0 to 3)")
-    missing = [f"f_rest_{i}" for i in range(len(names)) if f"f_rest_{i}" not in names]
-    if missing:
-        raise BadInput(f"{path}: missing property {missing[0]!r}")
-    return len(names)
+    rest = len({name for name in vertex.names if re.fullmatch(r"f_rest_\d+", name)})
+    if rest not in REST_COUNTS:
+        raise BadInput(f"{path}: {rest} f_rest properties, expected 0, 9, 24 or 45 (SH degree 0 to 3)")
+    for i in range(rest):
+        if f"f_rest_{i}" not in vertex.names:
+            raise BadInput(f"{path}: missing property 'f_rest_{i}'")
+    return rest
 
 
 def _text_rows(path: Path, file, vertex: Element, before: list[Element]) -> np.ndarray:
@@ -278,7 +258,7 @@ SH_EXTENT = 8.0  # coefficients lie within -4..4
 
 def read_compressed(path: Path, file, order: str, elements: list[Element], report: Report) -> Gaussians:
     """Gaussians of a compressed .ply whose header has just been read from `file`. Raises BadInput."""
-    chunk, vertex, sh = _check_header(path, order, elements)
+    chunk, vertex, sh = _check_compressed(path, order, elements)
     start = file.tell()
     rows = binary_rows(path, file, start, elements, vertex, order)
     ranges = binary_rows(path, file, start, elements, chunk, order)
@@ -300,12 +280,17 @@ def read_compressed(path: Path, file, order: str, elements: list[Element], repor
     if sh is not None:
         codes = binary_rows(path, file, start, elements, sh, order)
         codes = np.stack([codes[f"f_rest_{i}"] for i in range(len(sh.names))], axis=1).reshape(n, 3, -1)
-        dc = np.concatenate([dc, _sh_of_byte()[codes].transpose(0, 2, 1)], axis=1)
-    quats = _unpack_quats(words["packed_rotation"])
+        fraction = (np.arange(256) + 0.5) / 256  # the middle of each byte's step
+        fraction[[0, -1]] = 0, 1
+        of_byte = ((fraction - 0.5) * SH_EXTENT).astype(np.float32)
+        dc = np.concatenate([dc, of_byte[codes].transpose(0, 2, 1)], axis=1)
+    rotation = words["packed_rotation"]
+    others = ((rotation[:, None] >> np.array(QUAT_SHIFTS, np.uint32) & 1023) / 1023.0 - 0.5) * np.sqrt(2)
+    quats = join_largest(rotation >> 30, others)
     return drawable_gaussians(path, means, quats, log_scales, logits_from_bytes(bytes_of[:, 3]), dc, report)
 
 
-def _check_header(path: Path, order: str, elements: list[Element]) -> tuple[Element, Element, Element | None]:
+def _check_compressed(path: Path, order: str, elements: list[Element]) -> tuple[Element, Element, Element | None]:
     """The elements chunk, vertex and sh (or None). Raises BadInput unless they agree."""
     what = f"{path}: a compressed .ply"
     if order == "":
@@ -343,19 +328,6 @@ def _fractions(words: np.ndarray) -> np.ndarray:
     return (words[:, None] >> np.array(COMPONENT_SHIFTS, np.uint32) & limits) / limits.astype(np.float64)
 
 
-def _sh_of_byte() -> np.ndarray:
-    """SH coefficient of each byte, (256,): the middle of its step, but the ends for the first and last."""
-    fraction = (np.arange(256) + 0.5) / 256
-    fraction[[0, -1]] = 0, 1
-    return ((fraction - 0.5) * SH_EXTENT).astype(np.float32)
-
-
-def _unpack_quats(words: np.ndarray) -> np.ndarray:
-    """Quaternions wxyz (N, 4); the component left out is not negative."""
-    values = ((words[:, None] >> np.array(QUAT_SHIFTS, np.uint32) & 1023) / 1023.0 - 0.5) * np.sqrt(2)
-    return join_largest(words >> 30, values)
-
-
 def chunk_order(means: np.ndarray) -> np.ndarray:
     """Order (N,) in which `write_compressed` stores Gaussians: neighbours share a chunk, so its range is small.
 
@@ -376,9 +348,11 @@ def write_compressed(path: str | Path, g: Gaussians) -> None:
     scales, scale_range = _pack(g.log_scales, COMPONENT_BITS)
     colors, color_range = _pack(g.sh[:, 0] * np.float32(C0) + np.float32(0.5), (8, 8, 8))
     opacity = bytes_from_logits(g.logit_opacities).astype(np.uint32)
+    largest, others = split_largest(g.quats.astype(np.float64))
+    quats = np.clip(np.round((others * np.sqrt(0.5) + 0.5) * 1023), 0, 1023).astype(np.uint32)
     words = [
         (positions << np.array(COMPONENT_SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32),
-        _pack_quats(g.quats.astype(np.float64)),
+        largest.astype(np.uint32) << 30 | (quats << np.array(QUAT_SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32),
         (scales << np.array(COMPONENT_SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32),
         (colors << np.array([24, 16, 8], np.uint32)).sum(axis=1, dtype=np.uint32) | opacity,
     ]
@@ -406,10 +380,3 @@ def _pack(values: np.ndarray, widths: tuple[int, int, int]) -> tuple[np.ndarray,
     fraction = (values - low[of_value].astype(np.float64)) / np.where(extent > 0, extent, 1)
     limits = (1 << np.array(widths)) - 1
     return np.round(fraction * limits).astype(np.uint32), (low, high)
-
-
-def _pack_quats(wxyz: np.ndarray) -> np.ndarray:
-    """Words of unit quaternions (N, 4); q and -q are the same rotation."""
-    largest, others = split_largest(wxyz)
-    codes = np.clip(np.round((others * np.sqrt(0.5) + 0.5) * 1023), 0, 1023).astype(np.uint32)
-    return largest.astype(np.uint32) << 30 | (codes << np.array(QUAT_SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32)

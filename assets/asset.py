@@ -195,9 +195,8 @@ class Asset:
         with open_hdf5(Path(path)) as file:
             quantised = _version(file) == QUANTISED
             gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
-            sort = file.text("", "sort") if file.has_text("", "sort") else ""
-            objects = file.json("", "objects", tuple[str, ...]) if file.has_text("", "objects") else ()
-            gaussians = replace(gaussians, objects=objects, sort=sort)
+            objects = file.json("", "objects", tuple[str, ...], default="[]")
+            gaussians = replace(gaussians, objects=objects, sort=file.text("", "sort", default=""))
             cage = embedding = None
             if file.has("cage"):
                 tets, surface = (file.indices(f"cage/{name}", (None, n)) for name, n in (("tets", 4), ("surface", 3)))

@@ -50,10 +50,6 @@ class Hdf5Reader:
         """True if a group or dataset of that name is there."""
         return self._find(name) is not None
 
-    def has_text(self, name: str, key: str) -> bool:
-        """True if there is something for `text` to read."""
-        return self.has(f"{name}/{key}" if name else key) or self.has_attribute(name, key)
-
     def has_attribute(self, name: str, key: str) -> bool:
         """True if the group or dataset `name` ("" is the root) is there and has the attribute."""
         node = self._find(name) if name else self._file
@@ -154,10 +150,15 @@ class Hdf5Reader:
             raise self.error(f"attribute {key!r} of {name or 'the file'} is not {expected}")
         return node.attrs[key]
 
-    def text(self, name: str, key: str) -> str:
-        """A text of the group or dataset `name` ("" is the root), as `write_text` writes it, or an attribute."""
+    def text(self, name: str, key: str, default: str | None = None) -> str:
+        """A text of the group or dataset `name` ("" is the root), as `write_text` writes it, or an attribute.
+
+        `default` stands for one that is not there; without it that is an error.
+        """
         where = f"{key!r} of {name or 'the file'}"
         path = f"{name}/{key}" if name else key
+        if default is not None and not self.has(path) and not self.has_attribute(name, key):
+            return default
         if self.has(path):
             content = self.array(path, "iu", (None,)).astype(np.uint8).tobytes()
         else:
@@ -169,9 +170,9 @@ class Hdf5Reader:
             pass
         raise self.error(f"{where} is not a text of at most {TEXT_MAX} bytes")
 
-    def json(self, name: str, key: str, kind: type[T]) -> T:
+    def json(self, name: str, key: str, kind: type[T], default: str | None = None) -> T:
         """The value of this type (core/typed.py) that a text holds as JSON."""
-        return from_json(kind, self.text(name, key), f"{self.path}: {key}")
+        return from_json(kind, self.text(name, key, default), f"{self.path}: {key}")
 
     def check_format(self, name: str, what: str, newest: int) -> int:
         """The version of a file of this format. Raises BadInput if it is another one, or newer than is known."""
@@ -229,14 +230,11 @@ def header_messages(data: mmap.mmap, base: int, address: int) -> Iterator[tuple[
     else:
         flags, blocks = 0, [(address + 16, integer(data, address + 8, 4))]
     prefix = 4 + 2 * (flags >> 2 & 1) if latest else 8  # [bytes] before a message
+    kind_width = 1 if latest else 2  # [bytes]
     for at, size in blocks:
         end = min(at + min(size, BLOCK_SIZE_MAX), len(data))
         while at + prefix <= end:
-            kind, size = (
-                (integer(data, at, 1), integer(data, at + 1, 2))
-                if latest
-                else (integer(data, at, 2), integer(data, at + 2, 2))
-            )
+            kind, size = integer(data, at, kind_width), integer(data, at + kind_width, 2)
             at += prefix
             if kind == ATTRIBUTE and at < len(data):
                 yield at, size

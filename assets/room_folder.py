@@ -19,7 +19,7 @@ import numpy as np
 
 from assets.camera_file import parse_camera
 from assets.file_access import read_json, write_json
-from assets.gaussians import MAGNITUDE_MAX
+from assets.gaussians import MAGNITUDE_MAX, UNIT_TOLERANCE
 from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices
@@ -30,7 +30,6 @@ FORMAT, VERSION = "vrgs-room", 1
 MANIFEST, PICTURE = "room.json", "room.jpg"
 SIZE_MAX = 16 << 20  # [bytes] of a manifest: ten thousand cameras fill 4 MB
 OBJECTS_MAX = 200
-UNIT_TOLERANCE = 1e-3
 Length = Annotated[float, Range(-MAGNITUDE_MAX, MAGNITUDE_MAX)]  # [m]
 Point = tuple[Length, Length, Length]
 FILE_NAME = Form(r"(objects/)?[\w][\w. -]{0,99}\.h5", "the name of an .h5 file in this folder or its objects/")

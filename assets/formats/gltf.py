@@ -28,19 +28,8 @@ ITEMS_MAX = 20_000_000  # elements of an accessor
 PIXELS_MAX = 8192 * 8192  # of a texture
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 INDICES = (5121, 5123, 5125)
-TYPE_WIDTHS = {
-    "SCALAR": 1,
-    "VEC2": 2,
-    "VEC3": 3,
-    "VEC4": 4,
-    "MAT4": 16,
-}  # MAT2 and MAT3 are padded
-HARMLESS_EXTENSIONS = (
-    "KHR_materials_",
-    "KHR_lights_",
-    "KHR_texture_transform",
-    "KHR_mesh_quantization",
-)  # may be required
+TYPE_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}  # MAT2 and MAT3 are padded
+HARMLESS_EXTENSIONS = ("KHR_materials_", "KHR_lights_", "KHR_texture_transform", "KHR_mesh_quantization")  # if required
 
 
 class GlbFile:
@@ -136,12 +125,10 @@ class GlbFile:
         kinds  what its type may be ("VEC3" ...);  count  how many elements it must have; None: any number but 0
         """
         of = self.item("accessors", index)
-        kind, width = (
-            of.get("componentType"),
-            TYPE_WIDTHS.get(of.get("type")) if isinstance(of.get("type"), str) else None,
-        )
-        if of.get("type") not in kinds or width is None:
-            raise self.error(f"accessor {index} is of type {str(of.get('type'))[:20]}, expected {' or '.join(kinds)}")
+        kind, shape = of.get("componentType"), of.get("type")
+        if shape not in kinds:
+            raise self.error(f"accessor {index} is of type {str(shape)[:20]}, expected {' or '.join(kinds)}")
+        width = TYPE_WIDTHS[shape]
         n = self.integer(of, "count", ITEMS_MAX)
         if n == 0 or (count is not None and n != count):
             raise self.error(f"accessor {index} has {n} elements, expected {'some' if count is None else count}")
@@ -160,14 +147,13 @@ class GlbFile:
             self._apply_sparse(sparse, kind, values)
         if integer:
             return values.astype(np.int64)
-        scale = 1.0
-        if of.get("normalized") is True and kind != 5126:
-            scale = 1.0 / np.iinfo(values.dtype).max
         with np.errstate(invalid="ignore"):  # a signalling NaN
-            values = values.astype(np.float64)
-        if not np.isfinite(values).all():
+            floats = values.astype(np.float64)
+        if not np.isfinite(floats).all():
             raise self.error(f"accessor {index} holds a number that is not finite")
-        return np.maximum(values * scale, -1.0) if scale != 1.0 else values  # -128 of a byte stands for -1 too
+        if of.get("normalized") is not True or kind == 5126:
+            return floats
+        return np.maximum(floats * (1.0 / np.iinfo(values.dtype).max), -1.0)  # -128 of a byte stands for -1, too
 
     def _apply_sparse(self, sparse, kind: int, values: np.ndarray) -> None:
         """Overwrite the elements that a sparse accessor lists."""
@@ -332,7 +318,9 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray):
         channels.append((int(place[target["node"]]), path, samplers[s]))
     if not channels:
         raise file.error("its animation moves no node")
-    times = {id(s): _times(file, s) for _, _, s in channels}
+    times = {id(s): file.accessor(s.get("input"), kinds=("SCALAR",))[:, 0] for _, _, s in channels}
+    if any((np.diff(t) <= 0).any() for t in times.values()):
+        raise file.error("the times of an animation do not rise")
     begin, end = min(t[0] for t in times.values()), max(t[-1] for t in times.values())
     if not 0 < end - begin <= DURATION_MAX:
         raise file.error(f"its animation lasts {end - begin:.3g} s; more than 0 to {DURATION_MAX:g} s can be played")
@@ -345,22 +333,14 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray):
     return tuple(frames), count / (end - begin), str(animation.get("name", ""))[:100]
 
 
-def _times(file: GlbFile, sampler: dict) -> np.ndarray:
-    """Ascending times [s] of a sampler."""
-    times = file.accessor(sampler.get("input"), kinds=("SCALAR",))[:, 0]
-    if (np.diff(times) <= 0).any():
-        raise file.error("the times of an animation do not rise")
-    return times
-
-
 def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, rotation: bool) -> np.ndarray:
     """A channel's values at the times `at`: (n, 3), or quaternions wxyz (n, 4)."""
     kind = sampler.get("interpolation", "LINEAR")
     if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
         raise file.error(f"interpolation {str(kind)[:20]!r} is unknown")
     cubic = kind == "CUBICSPLINE"
-    values = file.accessor(sampler.get("output"), kinds=("VEC4",) if rotation else ("VEC3",),
-                           count=len(times) * (3 if cubic else 1))  # fmt: skip
+    kinds, count = ("VEC4",) if rotation else ("VEC3",), len(times) * (3 if cubic else 1)
+    values = file.accessor(sampler.get("output"), kinds=kinds, count=count)
     if rotation:
         values = values[:, [3, 0, 1, 2]]
     before = np.searchsorted(times, at, "right").clip(1, max(len(times) - 1, 1)) - 1

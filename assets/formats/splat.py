@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -58,9 +59,9 @@ def write_splat(path: str | Path, g: Gaussians) -> None:
         file.write(rows.tobytes())
 
 
-FILE_HEADER = struct.Struct("<BBxxIIIIHxxfffff")  # version, sections, counts, level, centre of the scene, SH range
+FILE_HEADER = struct.Struct("<BBxxI8xIH14xff")  # version, sections, Gaussians, compression level, SH range
 FILE_HEADER_SIZE, SECTION_HEADER_SIZE = 4096, 1024  # [bytes]
-SECTION_HEADER = struct.Struct("<IIIIfHxxIIIIH")  # counts, buckets, degree of SH
+SECTION_HEADER = struct.Struct("<IIIIfHxxI4xIIH")  # the fields of Section
 DEGREE_MAX = 2
 DEFAULT_SH_RANGE = (-1.5, 1.5)  # where the header gives none
 DEFAULT_OFFSET_RANGE = 32767  # of a 16-bit offset, where the section gives none
@@ -78,7 +79,7 @@ class Section:
     buckets: int
     block: float  # side of the cube that a bucket covers [m]
     bucket_bytes: int
-    offset_range: int
+    offset_range: int  # 0: DEFAULT_OFFSET_RANGE
     full: int  # buckets that are full; they come first
     partial: int
     degree: int
@@ -119,7 +120,7 @@ def _headers(path: Path, data: bytes) -> tuple[int, tuple[float, float], list[Se
     """Compression level, least and greatest SH coefficient, sections."""
     if len(data) < FILE_HEADER_SIZE + SECTION_HEADER_SIZE:
         raise BadInput(f"{path}: truncated, or not a .ksplat file")
-    major, minor, section_count, _, _, count, level, *_, low, high = FILE_HEADER.unpack_from(data)
+    major, minor, section_count, count, level, low, high = FILE_HEADER.unpack_from(data)
     if (major, minor) != (0, 1):
         raise BadInput(f"{path}: not a .ksplat file, or of version {major}.{minor}; read is 0.1")
     if level > 2:
@@ -128,16 +129,12 @@ def _headers(path: Path, data: bytes) -> tuple[int, tuple[float, float], list[Se
         raise BadInput(f"{path}: truncated; the header claims {section_count} sections")
     sections = []
     for i in range(section_count):
-        fields = SECTION_HEADER.unpack_from(data, FILE_HEADER_SIZE + SECTION_HEADER_SIZE * i)
-        held, capacity, size, buckets, block, bucket_bytes, offset_range, _, full, partial, degree = fields
-        if degree > DEGREE_MAX:
-            raise BadInput(f"{path}: section {i} has SH degree {degree}, a .ksplat has at most {DEGREE_MAX}")
-        if held > capacity:
-            raise BadInput(f"{path}: section {i} claims {held} Gaussians in the space of {capacity}")
-        offset_range = offset_range or DEFAULT_OFFSET_RANGE
-        sections.append(
-            Section(held, capacity, size, buckets, block, bucket_bytes, offset_range, full, partial, degree)
-        )
+        section = Section(*SECTION_HEADER.unpack_from(data, FILE_HEADER_SIZE + SECTION_HEADER_SIZE * i))
+        if section.degree > DEGREE_MAX:
+            raise BadInput(f"{path}: section {i} has SH degree {section.degree}, a .ksplat has at most {DEGREE_MAX}")
+        if section.count > section.capacity:
+            raise BadInput(f"{path}: section {i} claims {section.count} Gaussians in the space of {section.capacity}")
+        sections.append(section)
     total = sum(s.count for s in sections)
     if total != count:
         raise BadInput(f"{path}: claims {count} Gaussians, its sections {total}")
@@ -160,9 +157,10 @@ def _centers(path: Path, s: Section, offsets: np.ndarray, data: bytes, start: in
         raise BadInput(f"{path}: the buckets of a section do not hold its {s.count} Gaussians")
     table = np.frombuffer(data, np.uint8, s.bucket_bytes * s.buckets, begin + 4 * s.partial)
     centers = np.ascontiguousarray(table.reshape(s.buckets, s.bucket_bytes)[:, :CENTER_SIZE]).view("<f4")
-    step = s.block / 2 / s.offset_range
+    offset_range = s.offset_range or DEFAULT_OFFSET_RANGE
+    step = s.block / 2 / offset_range
     with np.errstate(over="ignore", invalid="ignore"):  # non-finite Gaussians are dropped later
-        means = (offsets.astype(np.float64) - s.offset_range) * step + centers[bucket]
+        means = (offsets.astype(np.float64) - offset_range) * step + centers[bucket]
         return means.astype(np.float32)
 
 
@@ -179,9 +177,8 @@ def _decode(rows: np.ndarray, means: np.ndarray, level: int, sh_range: tuple[flo
     with np.errstate(over="ignore", invalid="ignore"):
         if level == 2:
             rest = np.float32(sh_range[0]) + rest / np.float32(255) * np.float32(sh_range[1] - sh_range[0])
-    bands = [b for b in range(1, degree + 1) if SH_COUNTS[b] - 1 <= rest.shape[1] // 3]
-    for b in bands:
-        first, last = SH_COUNTS[b - 1], SH_COUNTS[b]
+    held = SH_COUNTS.index(rest.shape[1] // 3 + 1)  # degree of the section
+    for first, last in pairwise(SH_COUNTS[: held + 1]):
         band = rest[:, 3 * (first - 1) : 3 * (last - 1)].reshape(len(rows), 3, last - first)
         sh[:, first:last] = band.transpose(0, 2, 1)
     return means, rows["quat"].astype(np.float32), log_scales, logits_from_bytes(rows["alpha"]), sh

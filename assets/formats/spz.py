@@ -84,16 +84,13 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
     ignored += ["its mark for anti-aliased drawing"] if header.flags & ANTIALIASED else []
     if ignored:
         report(f"{path}: ignored {', '.join(ignored)}")
-    return replace(_decode(path, header, streams, report), sort=_order_in_comment(data))
+    comment = data[10:].split(b"\0", 1)[0] if not unzipped and data[3] == GZIP_COMMENT else b""
+    sort = next((sort for sort in SORTS if comment == f"sort {sort}".encode()), "")
+    return replace(_decode(path, header, streams, report), sort=sort)
 
 
-def _order_in_comment(data: bytes) -> str:
-    """The order of blending in the comment of a gzip stream that has that field alone; "" without."""
-    comment = data[10:].split(b"\0", 1)[0] if data[:2] == GZIP and data[3:4] == bytes([GZIP_COMMENT]) else b""
-    return next((sort for sort in SORTS if comment == f"sort {sort}".encode()), "")
-
-
-def _header(path: Path, data: bytes) -> Header:
+def _header(path: Path, data: bytes, stored: int) -> Header:
+    """The header, whose count a file of `stored` bytes can hold: that is checked before anything is unpacked."""
     if len(data) < SPZ_HEADER.size:
         raise BadInput(f"{path}: truncated, or not a .spz file")
     magic, version, count, sh_degree, bits, flags, _ = SPZ_HEADER.unpack_from(data)
@@ -105,13 +102,10 @@ def _header(path: Path, data: bytes) -> Header:
         raise BadInput(f"{path}: SH degree {sh_degree} with {bits} fractional bits is no .spz")
     if count == 0:
         raise BadInput(f"{path}: holds no Gaussians")
-    return Header(version, count, sh_degree, bits, flags)
-
-
-def _check_claim(path: Path, header: Header, stored: int) -> None:
-    """Refuse a count that the file cannot hold, before unpacking."""
-    if header.count * sum(header.widths()) > unpack_bound(stored):
-        raise BadInput(f"{path}: claims {header.count} Gaussians, more than a file of {stored} bytes may hold")
+    header = Header(version, count, sh_degree, bits, flags)
+    if count * sum(header.widths()) > unpack_bound(stored):
+        raise BadInput(f"{path}: claims {count} Gaussians, more than a file of {stored} bytes may hold")
+    return header
 
 
 def _read_gzip(path: Path, data: bytes, unzipped: bool) -> tuple[Header, list[bytes]]:
@@ -119,10 +113,9 @@ def _read_gzip(path: Path, data: bytes, unzipped: bool) -> tuple[Header, list[by
     unpack = zlib.decompressobj(16 + zlib.MAX_WBITS)
     try:
         head = data[: SPZ_HEADER.size] if unzipped else unpack.decompress(data, SPZ_HEADER.size)
-        header = _header(path, head)
+        header = _header(path, head, len(data))
         if header.version == 4:
             raise BadInput(f"{path}: version 4 of .spz inside gzip")
-        _check_claim(path, header, len(data))
         size = header.count * sum(header.widths())
         body = data[SPZ_HEADER.size :] if unzipped else unpack.decompress(unpack.unconsumed_tail, size)
         more = unzipped or unpack.decompress(unpack.unconsumed_tail, 1)  # reaches the checksum, or what follows
@@ -140,8 +133,7 @@ def _read_zstd(path: Path, data: bytes) -> tuple[Header, list[bytes]]:
 
     if len(data) < HEADER_4_SIZE:
         raise BadInput(f"{path}: truncated")
-    header = _header(path, data)
-    _check_claim(path, header, len(data))
+    header = _header(path, data, len(data))
     sizes = [header.count * width for width in header.widths()]
     used = [size for size in sizes if size]  # empty streams are left out
     table = int.from_bytes(data[TABLE_OFFSET : TABLE_OFFSET + 4], "little")
@@ -171,7 +163,9 @@ def _decode(path: Path, header: Header, streams: list[bytes], report: Report) ->
     if header.version == 1:
         means = positions.view("<f2").astype(np.float32).reshape(n, 3)
     else:
-        means = _int24(positions).reshape(n, 3) / np.float32(1 << header.bits)
+        b = positions.reshape(-1, 3).astype(np.int32)
+        fixed = (b[:, 0] | b[:, 1] << 8 | b[:, 2] << 16) << 8 >> 8  # 24 bits; the shifts carry the sign
+        means = fixed.reshape(n, 3) / np.float32(1 << header.bits)
     quats = _smallest_three(rotations) if header.version >= 3 else _first_three(rotations)
     dc = (colors.reshape(n, 1, 3) / np.float32(255) - 0.5) / COLOR_SCALE
     rest = (sh.reshape(n, -1, 3)[:, : SH_COUNTS[-1] - 1].astype(np.float32) - 128) / 128
@@ -184,12 +178,6 @@ def _decode(path: Path, header: Header, streams: list[bytes], report: Report) ->
         _flip_sh(np.concatenate([dc, rest], axis=1)),
         report,
     )
-
-
-def _int24(packed: np.ndarray) -> np.ndarray:
-    """Signed 24-bit little-endian integers as int32."""
-    b = packed.reshape(-1, 3).astype(np.int32)
-    return (b[:, 0] | b[:, 1] << 8 | b[:, 2] << 16) << 8 >> 8  # the shifts carry the sign
 
 
 def _first_three(packed: np.ndarray) -> np.ndarray:
@@ -219,13 +207,16 @@ def write_spz(path: str | Path, g: Gaussians) -> None:
         raise BadInput(f"{path}: positions up to {extent:.3g} m do not fit a .spz")
     fixed = np.round(means * (1 << bits)).astype("<i4").reshape(-1, 1).view(np.uint8)[:, :3]
     sh = _flip_sh(g.sh)
-    xyzw = np.roll(g.quats.astype(np.float64) * AXIS_FLIP_QUAT, -1, axis=1)
+    largest, others = split_largest(np.roll(g.quats.astype(np.float64) * AXIS_FLIP_QUAT, -1, axis=1))
+    magnitude = np.minimum(np.round(511 * np.abs(others) / np.sqrt(0.5)), 511).astype(np.uint32)
+    fields = magnitude | np.where(others < 0, 512, 0).astype(np.uint32)
+    rotations = largest.astype(np.uint32) << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
     streams = [
         fixed,
         bytes_from_logits(g.logit_opacities),
         to_bytes((sh[:, 0] * COLOR_SCALE + 0.5) * 255),
         to_bytes((g.log_scales.astype(np.float64) + 10) * 16),
-        _pack_smallest_three(xyzw),
+        rotations.astype("<u4"),
         to_bytes(sh[:, 1:] * 128.0 + 128),
     ]
     header = SPZ_HEADER.pack(SPZ_MAGIC, 3, n, g.sh_degree, bits, 0, 0)
@@ -234,12 +225,3 @@ def write_spz(path: str | Path, g: Gaussians) -> None:
         if g.sort not in ("", "z"):
             packed = packed[:3] + bytes([GZIP_COMMENT]) + packed[4:10] + f"sort {g.sort}\0".encode() + packed[10:]
         file.write(packed)
-
-
-def _pack_smallest_three(xyzw: np.ndarray) -> np.ndarray:
-    """The inverse of `_smallest_three`, little-endian words (N,)."""
-    largest, others = split_largest(xyzw)
-    magnitude = np.minimum(np.round(511 * np.abs(others) / np.sqrt(0.5)), 511).astype(np.uint32)
-    fields = magnitude | np.where(others < 0, 512, 0).astype(np.uint32)
-    code = largest.astype(np.uint32) << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
-    return code.astype("<u4")

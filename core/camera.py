@@ -62,12 +62,12 @@ class Camera:
 def look_at(eye, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
     """`world_to_camera` (4, 4) of a camera at `eye` that looks at `target`."""
     ex, ey, ez = (float(c) for c in eye)  # in plain numbers: NumPy takes ten times as long for so few
-    forward = unit([float(t) - e for t, e in zip(target, (ex, ey, ez), strict=True)])
-    right = cross(forward, [float(c) for c in up])
+    forward = _unit([float(t) - e for t, e in zip(target, (ex, ey, ez), strict=True)])
+    right = _cross(forward, [float(c) for c in up])
     if math.hypot(*right) < 1e-6:  # looking straight up or down
-        right = cross(forward, [0.0, 0.0, 1.0])
-    right = unit(right)
-    rows = [right, cross(forward, right), forward]
+        right = _cross(forward, [0.0, 0.0, 1.0])
+    right = _unit(right)
+    rows = [right, _cross(forward, right), forward]
     return np.array([*([x, y, z, -(x * ex + y * ey + z * ez)] for x, y, z in rows), [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -79,14 +79,12 @@ def directions_around(count: int) -> np.ndarray:
     return np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
 
 
-def unit(v: list[float]) -> list[float]:
-    """A vector divided by its length, or as it is if that is 0."""
+def _unit(v: list[float]) -> list[float]:
     length = math.hypot(*v) or 1.0
     return [c / length for c in v]
 
 
-def cross(a: list[float], b: list[float]) -> list[float]:
-    """Cross product of two vectors of three numbers."""
+def _cross(a: list[float], b: list[float]) -> list[float]:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 

@@ -38,7 +38,7 @@ class Table:
 
 
 class Chart:
-    """A drawing on two linear axes from zero, in the units of the data. `svg` gives it as text.
+    """A drawing on two linear axes from zero, in the units of the data.
 
     right, top  values at the right end of the x axis and at the top of the y axis
     x_ticks     (value, label) along the x axis
@@ -76,17 +76,16 @@ class Chart:
 
     def bar(self, start: float, end: float, height: float, colour: str) -> None:
         """Draw a bar from `start` to `end` along x, as high as `height` along y."""
-        place = (
-            f'x="{self._x(start) + 1:.1f}" y="{self._y(height):.1f}" width="{self._x(end) - self._x(start) - 2:.1f}"'
-        )
-        self._parts.append(f'<rect {place} height="{self._y(0) - self._y(height):.1f}" fill="{colour}"/>')
+        x, y, width, below = self._x(start) + 1, self._y(height), self._x(end) - self._x(start) - 2, self._y(0)
+        size = f'width="{width:.1f}" height="{below - y:.1f}"'
+        self._parts.append(f'<rect x="{x:.1f}" y="{y:.1f}" {size} fill="{colour}"/>')
 
     def label(self, x: float, y: float, text: str) -> None:
         """Write a text that begins at a point."""
         self._text(self._x(x), self._y(y), text, "start")
 
     def svg(self) -> str:
-        """The drawing."""
+        """The drawing as an SVG element."""
         width, height = self._size
         return f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}">{"".join(self._parts)}</svg>'
 

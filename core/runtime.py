@@ -1,8 +1,7 @@
 """The Taichi runtime: choice of the device, time to the first kernel, care of its cache, and cheap kernel methods.
 
-Killed programs or failing disks may have left the cache of compiled kernels damaged.
-Taichi 1.7.4 keeps a file a kernel, whose damage it notices, and an index `ticache.tcb`. It also notices an index that
-is too short, but trusts what is in one: a flipped bit of a length ends the program, and would end each one after it.
+Killed programs or failing disks may leave the cache of compiled kernels damaged. Taichi 1.7.4 notices damage of a
+kernel's file, but trusts the index `ticache.tcb`: a flipped bit of a length ends this program and each one after it.
 And it never takes up a lock that a killed program has left: from then on every start would compile all kernels anew.
 
 The index: its size [8 bytes], version [3 x 2], size of all kernels [8], number of entries [8]; an entry: length and
@@ -114,13 +113,19 @@ def hasten_front_end() -> None:
     Attributes of classes with kernels are accessed directly, which saves time in every frame as well.
     """
     from taichi.lang import kernel_impl
+    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
     if hasattr(kernel_impl.getsourcelines, "known"):
         return
+
+    def position(self, node) -> str:
+        line = node.lineno + self.lineno_offset
+        return f'File "{self.file}", line {line}, in {self.func.func.__name__}:\n{self.src[node.lineno - 1]}\n'
+
     kernel_impl.getsourcefile = cached_by_code(kernel_impl.getsourcefile)
     kernel_impl.getsourcelines = cached_by_code(kernel_impl.getsourcelines)
     kernel_impl.textwrap = SimpleNamespace(dedent=textwrap.dedent, fill=cache(textwrap.fill))
-    shorten_source_locations()
+    ASTTransformerContext.get_pos_info = position
     bind_kernels_of_all_classes()
 
 
@@ -136,17 +141,6 @@ def cached_by_code(look_up: Callable) -> Callable:
 
     cached.known = known
     return cached
-
-
-def shorten_source_locations() -> None:
-    """Make Taichi's front end describe locations in one line, without wrapping and underlining the source text."""
-    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
-
-    def position(self, node) -> str:
-        line = node.lineno + self.lineno_offset
-        return f'File "{self.file}", line {line}, in {self.func.func.__name__}:\n{self.src[node.lineno - 1]}\n'
-
-    ASTTransformerContext.get_pos_info = position
 
 
 @contextlib.contextmanager
@@ -235,7 +229,7 @@ class KernelMethod:
 
 
 def bind_kernels(cls: type) -> type:
-    """Give a class that `ti.data_oriented` has made its ordinary access to attributes back."""
+    """Give a class that `ti.data_oriented` has changed its ordinary access to attributes back."""
     if "__getattribute__" not in vars(cls) or "_data_oriented" not in vars(cls):
         return cls
     for name, value in list(vars(cls).items()):
@@ -246,7 +240,7 @@ def bind_kernels(cls: type) -> type:
 
 
 def bind_kernels_of_all_classes() -> None:
-    """Do so with all classes that there are, and with those that come later."""
+    """Bind the kernels of all classes so far, and of those to come, as Python binds any method."""
     import taichi as ti
     from taichi.lang import kernel_impl
 
@@ -259,12 +253,8 @@ def bind_kernels_of_all_classes() -> None:
 
     data_oriented.binds_kernels = True
     ti.data_oriented = kernel_impl.data_oriented = data_oriented
-    for cls in list(subclasses(object)):
+    todo = [object]
+    while todo:
+        cls = todo.pop()
+        todo += type.__subclasses__(cls)
         bind_kernels(cls)
-
-
-def subclasses(cls: type) -> Iterator[type]:
-    """All classes derived from one."""
-    for sub in type.__subclasses__(cls):
-        yield sub
-        yield from subclasses(sub)

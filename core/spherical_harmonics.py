@@ -63,7 +63,7 @@ def rotate_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def _rotate_each(sh: np.ndarray, rotations: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Rotate coefficients (N, K, 3), each by its own rotation (N, 3, 3), by least squares over directions d (D, 3)."""
+    """`rotate_sh` of each by its own rotation, over the directions d (D, 3)."""
     count, out = sh.shape[1], np.empty(sh.shape, np.float32)
     inverse = np.linalg.pinv(sh_basis(d, count))
     for begin in range(0, len(sh), 4096):  # 35 MB at once

@@ -25,6 +25,7 @@ import json
 import math
 import re
 import sys
+from contextlib import suppress
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -45,6 +46,12 @@ class Range:
 
     low: float
     high: float
+
+    def __str__(self) -> str:
+        return "" if self is FINITE else f" from {self.low:g} to {self.high:g}"
+
+
+FINITE = Range(-sys.float_info.max, sys.float_info.max)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,17 +158,14 @@ def _one_of(kinds: tuple, value: Any, path: str) -> Any:
     """The value of the first of these types that it fits."""
     if value is None and NoneType in kinds:
         return None
-    others = [kind for kind in kinds if kind is not NoneType]
-    for kind in others[:-1]:
-        try:
+    *others, last = (kind for kind in kinds if kind is not NoneType)
+    for kind in others:
+        with suppress(ValueError):
             return _read(kind, value, path)
-        except ValueError:
-            pass
-    return _read(others[-1], value, path)
+    return _read(last, value, path)
 
 
 def _object(kind: type, value: Any, path: str) -> Any:
-    """A dataclass."""
     types = field_types(kind)
     if not isinstance(value, dict):
         raise _wrong(path, value, f"an object with {', '.join(types)}")
@@ -179,7 +183,6 @@ def _object(kind: type, value: Any, path: str) -> Any:
 
 
 def _items(origin: type, kinds: tuple, bounds: tuple, value: Any, path: str) -> Any:
-    """A tuple, list or dictionary."""
     size = _bound(Size, bounds) or Size(ITEMS_MAX)
     if not isinstance(value, dict if origin is dict else list):
         raise _wrong(path, value, "an object" if origin is dict else "a list")
@@ -197,18 +200,14 @@ def _items(origin: type, kinds: tuple, bounds: tuple, value: Any, path: str) -> 
 
 
 def _number(kind: type, bounds: tuple, value: Any, path: str) -> int | float:
-    """A finite number within its bounds."""
-    given = _bound(Range, bounds)
-    low, high = (given.low, given.high) if given else (-sys.float_info.max, sys.float_info.max)
+    span = _bound(Range, bounds) or FINITE
     fits = type(value) is int or (type(value) is float and (kind is float or value.is_integer()))
-    if not fits or not low <= value <= high:  # NaN compares false
-        span = f" from {low:g} to {high:g}" if given else ""
+    if not fits or not span.low <= value <= span.high:  # NaN compares false
         raise _wrong(path, value, f"a {'whole ' if kind is int else ''}number{span}")
     return kind(value)
 
 
 def _text(bounds: tuple, value: Any, path: str) -> str:
-    """A text of its length and form."""
     size, form = _bound(Size, bounds) or Size(TEXT_MAX), _bound(Form, bounds)
     if not isinstance(value, str) or not size.least <= len(value) <= size.most:
         raise _wrong(path, value, f"a text of {size.least} to {size.most} characters")
@@ -218,18 +217,15 @@ def _text(bounds: tuple, value: Any, path: str) -> str:
 
 
 def _array(bounds: tuple, value: Any, path: str) -> np.ndarray:
-    """An array of finite numbers."""
-    sides, given = _bound(Shape, bounds).sides, _bound(Range, bounds)
-    expected = f"{'x'.join('N' if side is None else str(side) for side in sides)} finite numbers"
+    sides, span = _bound(Shape, bounds).sides, _bound(Range, bounds) or FINITE
+    expected = f"{'x'.join('N' if side is None else str(side) for side in sides)} finite numbers{span}"
     try:
         items = np.array(value, object)
     except ValueError as e:
         raise _wrong(path, value, expected) from e
     fits = len(items.shape) == len(sides) and all(s in (None, n) for s, n in zip(sides, items.shape, strict=True))
-    high = given.high if given else sys.float_info.max
-    low = given.low if given else -high
-    if not fits or not all(type(x) in (int, float) and low <= x <= high for x in items.flat):
-        raise _wrong(path, value, expected + (f" from {low:g} to {high:g}" if given else ""))
+    if not fits or not all(type(x) in (int, float) and span.low <= x <= span.high for x in items.flat):
+        raise _wrong(path, value, expected)
     return items.astype(np.float64)
 
 

@@ -114,10 +114,9 @@ class Animation:
             raise BadInput(f"{where}: a joint of the animation stands before its parent")
         if not (np.isfinite(self.fps) and 1e-3 <= self.fps <= 1e4):
             raise BadInput(f"{where}: the animation plays {self.fps:g} frames a second")
-        for q in (self.rest[1], self.frames[1]):
+        for _, q, s in (self.rest, self.frames):
             if np.abs(np.linalg.norm(q, axis=-1) - 1).max() > UNIT_TOLERANCE:
                 raise BadInput(f"{where}: a rotation of the animation is not normalised")
-        for s in (self.rest[2], self.frames[2]):
             if s.min() < SCALE_RANGE[0] or s.max() > SCALE_RANGE[1]:
                 raise BadInput(f"{where}: a joint's scale is out of range ({SCALE_RANGE[0]:g} to {SCALE_RANGE[1]:g})")
         volumes = np.abs(np.linalg.det(self.inverse_bind[:, :3, :3]))
@@ -229,10 +228,11 @@ def read_animation(file: Hdf5Reader) -> Animation:
 
     def pose(prefix: str, *frames: int) -> Pose:
         t, q, s = (file.floats(f"animation/{prefix}{kind}", (*frames, J, n), np.float64) for kind, n in POSE_KINDS)
-        return t, _normalized(q), s
+        norm = np.linalg.norm(q, axis=-1, keepdims=True)
+        rounded = np.abs(norm - 1) < 1e-5  # by float32; other quaternions stay, and are refused by the check
+        return t, np.where(rounded, q / np.where(rounded, norm, 1.0), q), s
 
-    F = len(file.floats("animation/translations", (None, J, 3)))
-
+    frames = len(file.floats("animation/translations", (None, J, 3)))
     parents = file.indices("animation/parents", (J,))
     vertices = file.indices("animation/vertices", (None,))
     S = len(vertices)
@@ -241,17 +241,10 @@ def read_animation(file: Hdf5Reader) -> Animation:
         np.where(parents == np.arange(J), -1, parents).astype(np.int32),
         file.floats("animation/inverse_bind", (J, 4, 4), np.float64),
         pose("rest_"),
-        pose("", F),
+        pose("", frames),
         file.number("animation", "fps"),
         vertices,
         file.indices("animation/joints", (S, JOINTS_PER_VERTEX)),
         file.floats("animation/weights", (S, JOINTS_PER_VERTEX)),
         file.indices("animation/driven", (S,)) != 0,
     )
-
-
-def _normalized(q: np.ndarray) -> np.ndarray:
-    """Undo float32's rounding of unit quaternions (..., 4); others stay, and are refused by the check."""
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    near = np.abs(norm - 1) < 1e-5  # NaN compares false
-    return np.where(near, q / np.where(near, norm, 1.0), q)

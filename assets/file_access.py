@@ -185,10 +185,8 @@ def locked(path: Path, *, patience: float | None = None) -> Iterator[None]:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Make the folder and keep other runs of the program from writing to it meanwhile. Raises BadInput at once if one
-    does.
-
-    The system holds the lock, and gives it back if the program is killed. A new folder that stays empty is removed.
+    """Make the folder and keep other runs of the program from writing to it meanwhile: a lock as in `locked`, without
+    waiting. A new folder that stays empty is removed. Raises BadInput.
     """
     new = [f for f in (folder, *folder.parents) if not f.exists()]
     make_folder(folder)
@@ -209,11 +207,9 @@ def _try_lock(path: Path, lock: Path) -> int | None:
     """Descriptor of the lock's file, None if another program has it. Raises BadInput."""
     try:
         descriptor = os.open(lock, os.O_CREAT | os.O_RDWR)
-    except PermissionError as e:
-        if sys.platform == "win32" and lock.exists():  # it is being removed
-            return None
-        raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
     except OSError as e:
+        if sys.platform == "win32" and isinstance(e, PermissionError) and lock.exists():  # it is being removed
+            return None
         raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
     try:
         if sys.platform == "win32":
@@ -240,7 +236,6 @@ def _try_lock(path: Path, lock: Path) -> int | None:
 
 
 def _unlock(lock: Path, held: int) -> None:
-    """Give a lock back and remove its file."""
     if sys.platform == "win32":  # where an open file cannot be removed
         os.close(held)
         with suppress(OSError):

@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # NumPy is not needed to read a command line
     from scenes.scene import Scene
 
 COMMON = ("body", "stage", "material")  # options of every play: the user's bodies and room (scenes/roles.py)
-TRUTH = {"yes": True, "no": False}
+YES_NO = {True: "yes", False: "no"}
 
 
 @dataclass(frozen=True)
@@ -58,17 +58,17 @@ class SceneOption:
         """Choices and default of the option, for the help."""
         kinds = {str: self.meaning, int: "an integer", float: "a number"}
         what = one_of(self.choices) if self.choices else kinds[self.kind]
-        default = {True: "yes", False: "no"}[self.default] if self.kind is bool else self.default
+        default = YES_NO[self.default] if self.kind is bool else self.default
         return what if default is None else f"{what} (default {default})"
 
     def value(self, given: Any, scene: str) -> Any:
         """The argument of `build` for a text from the command line, or for a value of its type. Raises BadInput."""
         if self.kind is bool:
-            given = {True: "yes", False: "no"}.get(given, given)
+            given = YES_NO.get(given, given)
         if self.choices:
             if given not in self.choices:
                 raise BadInput(f"{self.flag} of the scene {scene} is {one_of(self.choices)}, not {str(given)[:60]!r}")
-            return TRUTH[given] if self.kind is bool else given
+            return given == "yes" if self.kind is bool else given
         try:
             return self.kind(given)
         except (TypeError, ValueError) as e:
@@ -102,7 +102,9 @@ def demo(name: str) -> Demo | None:
     if not callable(build):
         return None
     try:
-        options = options_of(build)
+        hints = get_type_hints(build, include_extras=True)
+        parameters = inspect.signature(build).parameters.values()
+        options = [option_of(p.name, hints.get(p.name, str), p.default) for p in parameters if p.name not in COMMON]
     except Exception as e:  # type hints are evaluated
         return Demo(name, fault=" ".join(f"{e}".split()))
     return Demo(name, (module.__doc__ or "(no description)").strip().splitlines()[0], build, options=options)
@@ -211,11 +213,11 @@ def load(
     """
     is_ours = name in module_names()
     found = demo(name) if is_ours or is_scene_file(name) or is_room(name) else None
-    if found is None and (is_ours or is_scene_file(name)):
-        raise BadInput(f"{name}: it has no function build (docs/writing_a_scene.md)")
-    if found is None and Path(name).is_dir():
-        raise BadInput(f"{name}: holds no {MANIFEST}; a captured room is made by: vrgs.py capture")
     if found is None:
+        if is_ours or is_scene_file(name):
+            raise BadInput(f"{name}: it has no function build (docs/writing_a_scene.md)")
+        if Path(name).is_dir():
+            raise BadInput(f"{name}: holds no {MANIFEST}; a captured room is made by: vrgs.py capture")
         raise BadInput(f"no scene named {name!r}; there are: {', '.join(names())}")
     if found.build is None:
         raise BadInput(f"{name}: {found.fault}")
@@ -228,11 +230,11 @@ def load(
                 instead = "; a room to play in is its --stage" if key == "capture" else ""
                 raise BadInput(f"the scene {name} takes no --{key.replace('_', '-')}{instead}")
             values[key] = known[key].value(given, name)
-    assets = [body] if isinstance(body, str) else list(body or ())
-    played = []  # by what `build` does itself
+    assets, played = [body] if isinstance(body, str) else list(body or ()), []  # played: by what `build` does itself
     if assets and "body" in taken:
-        played = assets[:1] if isinstance(taken["body"].default, str) else assets
-        values["body"] = assets[0] if isinstance(taken["body"].default, str) else tuple(assets)
+        one = isinstance(taken["body"].default, str)
+        played = assets[:1] if one else assets
+        values["body"] = assets[0] if one else tuple(assets)
     if material is not None and "material" in taken:
         values["material"] = material
     elif material is not None and not assets:
@@ -259,13 +261,6 @@ def one_of(names: tuple[str, ...]) -> str:
     return f"{', '.join(others)} or {last}" if others else last
 
 
-def options_of(build: Callable) -> list[SceneOption]:
-    """The options of a scene, without the common ones. Raises BadInput for a parameter that cannot be an option."""
-    hints = get_type_hints(build, include_extras=True)
-    own = [p for p in inspect.signature(build).parameters.values() if p.name not in COMMON]
-    return [option_of(p.name, hints.get(p.name, str), p.default) for p in own]
-
-
 def option_of(name: str, hint: Any, default: Any) -> SceneOption:
     """The option for a parameter of this type. Raises BadInput."""
     if default is inspect.Parameter.empty:
@@ -279,4 +274,4 @@ def option_of(name: str, hint: Any, default: Any) -> SceneOption:
         return SceneOption(name, str, get_args(hint), default)
     if hint not in (str, int, float, bool):
         raise BadInput(f"the parameter {name} of build is neither a text, a number, a bool nor a Literal of texts")
-    return SceneOption(name, hint, tuple(TRUTH) if hint is bool else (), default, meaning)
+    return SceneOption(name, hint, tuple(YES_NO.values()) if hint is bool else (), default, meaning)

@@ -1,15 +1,15 @@
-"""Bodies and rooms of the user in any scene: they play the roles that it declares, and replace its room.
+"""The user's bodies and rooms in any scene: they play the roles that it declares, and replace its room.
 
-A scene lists `roles` and says what its `room` is. A body of the user is put where the one was that it replaces: upright
-on the same spot, as large if the role asks for that, of its own material or else of the role's. A room of the user is
-put around the play, which stays where it is: the room's free table or floor comes to lie under the middle of the play,
-turned so that its user stands where the scene's does. So a scene's game and scripted player work as they are.
+A scene lists `roles` and says what its `room` is. A user's body stands upright in place of the one that it replaces, as
+large if the role asks for that, of its own material or else of that body's. A user's room is put around the play, which
+stays where it is: the room's free table or floor comes to lie under the middle of the play, turned so that its user
+stands where the scene's does. So a scene's game and scripted player work as they are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +39,7 @@ SHIFTS_ASIDE, SHIFTS_UP = np.linspace(0.0, 1.0, 21), (0.0, 0.2, 0.4, 0.6, 0.8)  
 UNSEEN_WEIGHT = 0.3  # [m] of free space, and of the way to the eye, for a view that no photograph is like
 
 
-# Bodies of the user
+# The user's bodies
 
 
 def places(scene: Scene) -> list[tuple[Role, str, int]]:
@@ -99,21 +99,7 @@ def bounds(asset: str, placed: Body) -> tuple[np.ndarray, np.ndarray]:
     return x.min(0), x.max(0)
 
 
-# Rooms of the user
-
-
-@dataclass(frozen=True)
-class PlacedRoom:
-    """A room around a play, turned by an angle: its rotation and position, the player's eye, and the bodies in it.
-
-    rank  the better placement is larger: the widest view of what was photographed, then the fewest bodies in the way
-    """
-
-    rotation: Quat
-    position: Vec3
-    eye: Vec3
-    bodies: list[Body]
-    rank: tuple[float, int]
+# The user's rooms
 
 
 def in_room(scene: Scene, stage: str) -> Scene:
@@ -122,27 +108,29 @@ def in_room(scene: Scene, stage: str) -> Scene:
     The play goes to the room's free table or, if it belongs there, to the largest free part of its floor. Raises
     BadInput, also if it must fit and does not.
     """
-    own = scene.room
-    environment, grid = load_room(stage)
+    own, path = scene.room, find_asset(stage)
+    environment = Environment.load(path)
+    with open_hdf5(path) as file:
+        grid = read_grid(file, "sdf/values")
+    grid.check(stage)
     cameras = photographs_of(stage)
     at, free = spot_in(scene, environment, grid, cameras)
     if own.must_fit and free < own.radius:
         space = f"{2 * own.radius:.1f} m of level, free floor, and {2 * free:.1f} m are there"
         raise BadInput(f"{stage}: there is no room for this play: it takes {space}")
     floor = own.spot[1] - (at[1] - environment.floor_height)
-    facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
-    angles = facing + TURNS if own.on_floor else facing[None]
-    turned = (placed_room(scene, grid, cameras, at, angle, floor) for angle in angles)
-    best = max(turned, key=lambda p: p.rank)  # of equals the first: nearest to where the room's user stood
+    to_user, to_eye = np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot)
+    facing = np.arctan2(to_eye[0], to_eye[2]) - np.arctan2(to_user[0], to_user[2])
+    angles = facing + TURNS if own.on_floor else [facing]
+    turned = (placed_room(scene, stage, grid, cameras, at, angle, floor) for angle in angles)
+    _, room, bodies, eye = max(turned, key=lambda p: p[0])  # of equals the first: nearest to where the user stood
     small = f" ({100 * free:.0f} cm are free around the play, which takes {100 * own.radius:.0f} cm)"
+    outside = [c for c in scene.colliders if c not in own.colliders]
     return replace(
         scene,
-        bodies=[Body(stage, rotation=best.rotation, position=best.position), *best.bodies],
-        colliders=[
-            Plane((0.0, floor, 0.0), (0.0, 1.0, 0.0)),
-            *(c for c in scene.colliders if c not in own.colliders),
-        ],
-        eye=best.eye,
+        bodies=[room, *bodies],
+        colliders=[Plane((0.0, floor, 0.0), (0.0, 1.0, 0.0)), *outside],
+        eye=eye,
         floor=floor,
         game=own.game or scene.game,
         cast=(*scene.cast, (stage, f"the room{small if free < own.radius else ''}")),
@@ -151,13 +139,18 @@ def in_room(scene: Scene, stage: str) -> Scene:
 
 def placed_room(
     scene: Scene,
+    stage: str,
     grid: DistanceGrid,
     cameras: Sequence[Camera],
     at: np.ndarray,
     angle: float,
     floor: float,
-) -> PlacedRoom:
-    """The room turned by an angle about +y [rad], its point `at` (3,) on the play's spot, its floor at `floor` [m]."""
+) -> tuple[tuple[float, int], Body, list[Body], Vec3]:
+    """The room turned by an angle about +y [rad], its point `at` (3,) on the play's spot, its floor at `floor` [m].
+
+    Returns a rank, the room, the bodies in it and the player's eye. The better placement has the larger rank: the
+    widest view of what was photographed, then the fewest bodies in the way.
+    """
     own = scene.room
     rotation: Quat = (float(np.cos(0.5 * angle)), 0.0, float(np.sin(0.5 * angle)), 0.0)
     position = tuple(map(float, np.subtract(own.spot, matrices_from_quaternions(np.array(rotation)) @ at)))
@@ -167,17 +160,7 @@ def placed_room(
     bodies = clear_of_room(played, grid, rotation, position, own.spot)
     moved = sum(a is not b for a, b in zip(bodies, played, strict=True))
     unseen = float(unphotographed(scene, cameras, at[None], np.array([angle]))[0])
-    return PlacedRoom(rotation, position, eye, bodies, (part - UNSEEN_WEIGHT * unseen, -moved))
-
-
-def load_room(stage: str) -> tuple[Environment, DistanceGrid]:
-    """Environment and distance grid of a room. Raises BadInput if the file holds none."""
-    path = find_asset(stage)
-    environment = Environment.load(path)
-    with open_hdf5(path) as file:
-        grid = read_grid(file, "sdf/values")
-    grid.check(stage)
-    return environment, grid
+    return (part - UNSEEN_WEIGHT * unseen, -moved), Body(stage, rotation=rotation, position=position), bodies, eye
 
 
 def photographs_of(stage: str) -> tuple[Camera, ...]:
@@ -241,11 +224,6 @@ def unphotographed(scene: Scene, cameras: Sequence[Camera], at: np.ndarray, angl
     eyes, looks = at + to_room @ way, to_room @ look
     apart = np.linalg.norm(eyes[:, None] - places, axis=2) / far
     return (apart + 1.0 - looks @ ahead.T).min(axis=1)
-
-
-def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angle about +y [rad] that turns the horizontal direction of `a` (3,) to that of `b`."""
-    return np.arctan2(b[0], b[2]) - np.arctan2(a[0], a[2])
 
 
 def free_eye(scene: Scene, grid: DistanceGrid, rotation: Quat, position: Vec3, floor: float) -> tuple[Vec3, float]:

@@ -153,17 +153,12 @@ def room_colliders() -> list[Plane | Box | Capsule]:
     ]
 
 
-def pallet_collider() -> Box:
-    """The pallet, a box."""
-    (x, _, z), (w, h, d) = PALLET
-    return Box((x, h / 2, z), (w / 2, h / 2, d / 2), friction=0.6)
-
-
 def build() -> Scene:
     attic = room_colliders()
+    (x, _, z), (w, h, d) = PALLET
     return Scene(
         bodies=[Body("attic"), Body("pallet", position=PALLET[0]), *boxes()],
-        colliders=[*attic, pallet_collider()],
+        colliders=[*attic, Box((x, h / 2, z), (w / 2, h / 2, d / 2), friction=0.6)],
         light=Light(position=(0.42, 1.66, 0.34), target=(0.3, 0.2, -0.4)),  # the bulb
         background=BACKGROUND,
         eye=(0.15, 1.30, 1.45),

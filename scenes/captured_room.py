@@ -14,13 +14,13 @@ from assets.environment import Environment
 from assets.library import default_material
 from assets.room_folder import RoomObject, read_room
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Body, BodyState, Hand, Light, Plane, Role, Scene, Vec3
+from scenes.scene import Body, BodyState, Hand, Light, Plane, Role, Scene
 from scenes.scripted_hands import ease
 
 TOY, TOY_DROP = "ball", 0.02  # where no object was captured; [m] over the free place
 BACKGROUND = (0.12, 0.13, 0.14)  # where no photograph showed anything
 SUN_HEIGHT = 10.0  # [m] above what is looked at
-SHADOW = {"strength": 0.35, "softness": 0.03}  # the photographs have shadows of their own
+SHADOW = (0.35, 0.03)  # strength and softness: weak, as the photographs have shadows of their own
 SETTLE_TIME, TURN_TIME = 0.5, 2.4  # [s] before the scripted hand's first object, and with each
 TURNS_MAX = 3  # objects that it takes
 LIFT = 0.2  # [m] by which it lifts a free object
@@ -86,15 +86,20 @@ class CapturedRoom:
 def room_scene(folder: str) -> Scene:
     """The scene of a captured room: the player stands where a photographer stood. Raises BadInput."""
     path, room = Path(folder), read_room(folder)
-    objects = [object_body(path, o) for o in room.objects]
+    objects = []
+    for thing in room.objects:
+        asset = str(path / thing.asset)
+        body = Body(asset, default_material(asset), position=thing.position, rotation=thing.rotation)
+        objects.append(replace(body, fixed_below=thing.fixed_below, asleep=True, captured=True))
     shown = room.objects or (RoomObject(TOY, TOY, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),)
     if not objects:
         x, y, z = Environment.load(path / room.background).drop_point
         objects = [Body(TOY, default_material(TOY), position=(x, y + TOY_DROP, z))]
+    tx, ty, tz = room.target  # lit from above, as in most rooms: photographs do not tell where their light was
     return Scene(
         bodies=[Body(str(path / room.background)), *objects],
         colliders=[Plane((0.0, room.floor, 0.0), (0.0, 1.0, 0.0), friction=0.8)],
-        light=light_over(room.target),
+        light=Light((tx + 2.0, ty + SUN_HEIGHT, tz + 3.0), room.target, "directional", *SHADOW),
         background=BACKGROUND,
         eye=room.eye,
         target=room.target,
@@ -103,16 +108,3 @@ def room_scene(folder: str) -> Scene:
         game=CapturedRoom(shown, room.floor),
         roles=(Role("object", tuple(b.asset for b in objects), resize=bool(room.objects)),),
     )
-
-
-def object_body(folder: Path, thing: RoomObject) -> Body:
-    """An object where it was captured, asleep until it is touched."""
-    asset = str(folder / thing.asset)
-    placed = Body(asset, default_material(asset), position=thing.position, rotation=thing.rotation)
-    return replace(placed, fixed_below=thing.fixed_below, asleep=True, captured=True)
-
-
-def light_over(target: Vec3) -> Light:
-    """A light from above, as in most rooms: the photographs do not tell where theirs was."""
-    x, y, z = target
-    return Light(position=(x + 2.0, y + SUN_HEIGHT, z + 3.0), target=target, kind="directional", **SHADOW)

@@ -67,8 +67,8 @@ class TableBrickGame:
             return [self.drawing_hand(time - DRAW_AT)]
         if self.throw is None:
             ball = bodies[-1].centroid
-            times = {"approach_time": 0.4, "lift_time": 0.7, "acceleration_time": 0.14, "flight_time": 0.16}
             aim = (TOWER[0], tower_height() - 0.10, TOWER[2])
+            times = {"approach_time": 0.4, "lift_time": 0.7, "acceleration_time": 0.14, "flight_time": 0.16}
             self.throw = Throw(tuple(ball), (0.05, 1.02, 0.75), aim, grab_radius=0.07, **times)
         return [self.throw.hand(time - THROW_AT)]
 
@@ -89,9 +89,8 @@ class TableBrickGame:
     @property
     def message(self) -> str:
         if self.throws_needed is not None:
-            throws = {0: "without a throw", 1: "with one throw"}.get(
-                self.throws_needed, f"with {self.throws_needed} throws"
-            )
+            few = {0: "without a throw", 1: "with one throw"}
+            throws = few.get(self.throws_needed, f"with {self.throws_needed} throws")
             return f"The tower is down {throws}! Press R to build it again."
         return f"{self.score} of {GOAL} bricks out. Draw planks from the tower, then throw the ball at it."
 

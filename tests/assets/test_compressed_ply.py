@@ -7,7 +7,7 @@ from assets.formats.ply import chunk_order, read_ply
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
 from core.spherical_harmonics import C0
-from tests.support.samples import FIELDS, refused, some_gaussians
+from tests.support.samples import refused, some_gaussians
 from tests.support.splat_encoders import compressed_bytes
 
 
@@ -64,17 +64,9 @@ def test_each_component_can_be_the_one_left_out(tmp_path, largest):
 
 
 @pytest.mark.parametrize("degree", range(4))
-def test_round_trip_within_its_steps(tmp_path, degree):
-    g = some_gaussians(700, degree)
-    write_gaussians(tmp_path / "a.compressed.ply", g)
-    read = read_gaussians(tmp_path / "a.compressed.ply")
-    assert read.sh_degree == degree
-    assert_within_its_steps(read, g.select(chunk_order(g.means)))
-
-
-def test_the_writer_agrees_with_the_plain_encoder(tmp_path):
+def test_the_writer_agrees_with_the_plain_encoder(tmp_path, degree):
     """But for ties in rounding, in a thousandth of the bytes at most."""
-    g = some_gaussians(500, 2)
+    g = some_gaussians(500, degree)
     write_gaussians(tmp_path / "a.compressed.ply", g)
     written = (tmp_path / "a.compressed.ply").read_bytes()
     expected = compressed_bytes(g.select(chunk_order(g.means)))
@@ -111,12 +103,8 @@ def test_what_cannot_be_is_refused(tmp_path):
     assert "'max_b'" in refused(path, good.replace(b"float max_b", b"float blue"))
     assert "'packed_scale'" in refused(path, good.replace(b"uint packed_scale", b"uint scale"))
     assert "wrong type" in refused(path, good.replace(b"uint packed_scale", b"float packed_scale"))
-    assert "list property" in refused(
-        path,
-        good.replace(b"end_header", b"end_header", 1).replace(
-            b"uint packed_color", b"uint packed_color\nproperty list uchar int q"
-        ),
-    )
+    listed = good.replace(b"uint packed_color", b"uint packed_color\nproperty list uchar int q")
+    assert "list property" in refused(path, listed)
     assert "f_rest" in refused(path, good.replace(b"uchar f_rest_8", b"uchar f_rest_9"))
     assert "f_rest" in refused(path, good.replace(b"uchar f_rest_8", b"float f_rest_8"))
     assert "rows of sh" in refused(path, good.replace(b"element sh 300", b"element sh 299"))
@@ -138,13 +126,3 @@ def test_chunks_that_are_not_finite_are_dropped_or_refused(tmp_path):
     assert len(lines) == 1 and "dropped 256 of 300" in lines[0]
     small = compressed_bytes(some_gaussians(30, 0))
     assert "none of its 30" in refused(tmp_path / "a.ply", small[: start - 1] + nan + small[start + 3 :])
-
-
-@pytest.mark.shared
-def test_a_captured_splat(shared, tmp_path):
-    g = read_gaussians(shared / "data" / "splats" / "toy_cat.ply")
-    write_gaussians(tmp_path / "a.compressed.ply", g)
-    read, g = read_gaussians(tmp_path / "a.compressed.ply"), g.select(chunk_order(g.means))
-    assert (np.abs(read.means - g.means) <= steps(g.means, (2047, 1023, 2047)) + 1e-6).all()
-    assert (tmp_path / "a.compressed.ply").stat().st_size < 1.5e6  # from 5.8 MB
-    assert all(getattr(read, name).dtype == np.float32 for name in FIELDS)

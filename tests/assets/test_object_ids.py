@@ -17,12 +17,12 @@ NAMES = ("bear", "Büste von links")
 
 
 def with_objects(names=NAMES, count: int = 9, seed: int = 0) -> Gaussians:
-    g = some_gaussians(count, 1, seed=seed)
-    return replace(g, object_id=np.arange(count, dtype=np.uint16) % (len(names) + 1), objects=tuple(names))
+    ids = np.arange(count, dtype=np.uint16) % (len(names) + 1)
+    return replace(some_gaussians(count, 1, seed=seed), object_id=ids, objects=tuple(names), sort="radial")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.h5", "quantised.h5"])
-def test_ids_and_names_come_back(tmp_path, name):
+def test_ids_names_and_the_order_of_blending_come_back(tmp_path, name):
     g = with_objects()
     if name.endswith(".h5"):
         Asset(g).save(tmp_path / name, quantised=name.startswith("q"))
@@ -30,7 +30,7 @@ def test_ids_and_names_come_back(tmp_path, name):
         write_gaussians(tmp_path / name, g, report=pytest.fail)
     read = read_gaussians(tmp_path / name, report=pytest.fail)
     np.testing.assert_array_equal(read.object_id, g.object_id)
-    assert read.object_id.dtype == np.uint16 and read.objects == NAMES
+    assert read.object_id.dtype == np.uint16 and (read.objects, read.sort) == (NAMES, "radial")
     if name == "a.ply":
         np.testing.assert_array_equal(read.sh, g.sh)
         np.testing.assert_array_equal(read.means, g.means)
@@ -45,7 +45,7 @@ def test_a_splat_without_objects_is_written_as_ever(tmp_path):
 @pytest.mark.parametrize("suffix", [".spz", ".splat", ".compressed.ply"])
 def test_other_formats_say_that_ids_are_lost(tmp_path, suffix):
     lines = []
-    write_gaussians(tmp_path / f"a{suffix}", with_objects(), lines.append)
+    write_gaussians(tmp_path / f"a{suffix}", replace(with_objects(), sort="z"), lines.append)
     assert len(lines) == 1 and "keeps no object ids" in lines[0]
     write_gaussians(tmp_path / f"a{suffix}", some_gaussians(9, 1), report=pytest.fail)
 
@@ -82,7 +82,7 @@ def test_names_of_a_header_that_are_none_are_passed_over(tmp_path):
 def test_a_selection_keeps_ids_and_names_and_a_merge_gives_each_name_one_id():
     a, b = with_objects(("bear", "cup")), with_objects(("cup", "vase"), seed=1)
     some = a.select(np.array([1, 5])).transformed(np.eye(3), (1.0, 0.0, 0.0), 2.0).with_sh_degree(0)
-    assert some.object_id.tolist() == [1, 2] and some.objects == ("bear", "cup")
+    assert some.object_id.tolist() == [1, 2] and (some.objects, some.sort) == (("bear", "cup"), "radial")
     both = concatenate([a, b])
     assert both.objects == ("bear", "cup", "vase")
     assert both.object_id[9:12].tolist() == [0, 2, 3] and both.object_id[:3].tolist() == [0, 1, 2]

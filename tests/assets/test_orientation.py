@@ -5,7 +5,6 @@ import pytest
 
 from assets import orientation
 from assets.asset import Asset
-from assets.gaussians import Gaussians
 from assets.library import find_asset
 from assets.splat_files import read_gaussians
 from prepare.cleaning import clean
@@ -13,25 +12,18 @@ from prepare.pipeline import Options, clean_and_orient
 from prepare.progress import no_progress
 from tests.support.cage_cases import case
 from tests.support.sample_scenes import brick, garden, room, table_and_jug
+from tests.support.samples import discs
 from tests.support.shells import ball
 
 EVEN = dict.fromkeys(orientation.AXES, 1 / 6)
 SCENES = {"room": room, "open room": lambda: room(ceiling=False), "garden": garden, "table": table_and_jug}
 
 
-@pytest.fixture(scope="module")
-def scenes() -> dict[str, Gaussians]:
-    return {name: make() for name, make in SCENES.items()}
-
-
-def every(g: Gaussians, n: int) -> Gaussians:
-    return g.select(np.arange(0, len(g), n))
-
-
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_stands_on_its_floor_whatever_axis_is_up(scenes, name):
+def test_a_scene_stands_on_its_floor_whatever_axis_is_up(name):
     """Walls, a shelf and a chest do not mislead."""
-    g = every(scenes[name], 3)
+    g = SCENES[name]()
+    g = g.select(np.arange(0, len(g), 3))
     for up in orientation.AXES:
         p = orientation.up_probabilities(g.transformed(orientation.rotation_to_up(up).T), EVEN)
         assert max(p, key=p.get) == up and p[up] > 0.4, (up, p)
@@ -50,28 +42,14 @@ def test_what_misleads_makes_unsure():
     assert "+y" in orientation.alternatives(p) and len(orientation.alternatives(p)) > 1
 
 
-def test_how_sure_a_guess_is_is_said():
-    assert orientation.describe_guess("-z", 0.514) == "-z (guessed, 51% sure; --up overrides)"
-    p = orientation.up_probabilities(case("capsule", 6000))
+def test_alternatives_are_likely_and_only_asked_for_where_the_guess_is_unsure():
+    p = orientation.up_probabilities(case("capsule", 6000))  # it lies on any side
     assert sum(p.values()) == pytest.approx(1.0)
-    assert orientation.alternatives(p) == sorted(
-        (up for up in p if p[up] > 0.02), key=p.get, reverse=True
-    )  # it lies on any side
+    assert orientation.alternatives(p) == sorted((up for up in p if p[up] > 0.02), key=p.get, reverse=True)
     assert orientation.alternatives(dict.fromkeys(orientation.AXES, 0.02) | {"-y": 0.9}) == ["-y"]
-
-
-def test_the_question_names_options_and_is_not_asked_when_sure():
     chances = {"-y": 0.5, "+y": 0.3, "+z": 0.19, "-z": 0.01}
     assert orientation.question(chances) == "which way is up is not sure: --up -y 50%, --up +y 30%, --up +z 19%"
     assert orientation.question({"-y": 0.97, "+y": 0.03}) == ""
-
-
-@pytest.mark.parametrize("up", orientation.AXES)
-def test_an_axis_is_turned_up_by_the_smallest_rotation(up):
-    turn = orientation.rotation_to_up(up)
-    np.testing.assert_allclose(turn @ orientation.AXES[up], (0.0, 1.0, 0.0), atol=1e-12)
-    assert np.linalg.det(turn) == pytest.approx(1.0)
-    assert np.trace(turn) == pytest.approx({"+y": 3.0, "-y": -1.0}.get(up, 1.0))
 
 
 def test_no_guess_is_surer_than_the_lapses_of_the_model_leave_it():
@@ -93,10 +71,7 @@ def test_what_looks_the_same_from_all_sides_is_not_sure():
     turned = np.concatenate([np.roll(points, k, axis=1) for k in range(3)])
     signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), -1).reshape(-1, 1, 3)
     means = (signs * turned).reshape(-1, 3)
-    n = len(means)
-    g = Gaussians.of(
-        means, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), -4.0), np.full(n, 3.0), np.zeros((n, 1, 3))
-    )
+    g = discs(means, np.exp(-4.0))
     assert orientation.guess_up_axis(g)[1] < 0.6 and len(orientation.alternatives(orientation.up_probabilities(g))) > 1
 
 

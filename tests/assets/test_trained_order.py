@@ -5,7 +5,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import h5py
-import numpy as np
 import pytest
 
 from assets.asset import Asset
@@ -17,15 +16,10 @@ from display.viewer import Viewer
 from tests.support.samples import some_gaussians
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.spz", "a.h5", "quantised.h5"])
+@pytest.mark.parametrize("name", ["a.compressed.ply", "a.spz"])
 def test_the_order_comes_back(tmp_path, name):
-    g = replace(some_gaussians(9, 1), sort="radial")
-    if name.endswith(".h5"):
-        Asset(g).save(tmp_path / name, quantised=name.startswith("q"))
-    else:
-        write_gaussians(tmp_path / name, g, report=pytest.fail)
-    read = read_gaussians(tmp_path / name)
-    assert read.sort == "radial" == read.transformed(np.eye(3)).sort == read.select(np.arange(3)).sort
+    write_gaussians(tmp_path / name, replace(some_gaussians(9, 1), sort="radial"), report=pytest.fail)
+    assert read_gaussians(tmp_path / name).sort == "radial"
 
 
 def test_splats_from_elsewhere_were_trained_by_depth_and_assets_do_not_say(tmp_path):

@@ -13,8 +13,8 @@ from assets.library import SHIPPED_FOLDER
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
-from tests.support.leaning_room import flat, leaning_room
-from tests.support.samples import some_gaussians
+from tests.support.leaning_room import FLAT, leaning_room
+from tests.support.samples import discs, some_gaussians
 
 TURN = matrices_from_quaternions(np.array([0.8, 0.3, -0.4, 0.3]))
 
@@ -83,7 +83,7 @@ def test_a_room_turns_about_the_vertical_and_grows(tmp_path):
 def upright_wall() -> Gaussians:
     """Flat Gaussians whose normals are along x."""
     points = np.random.default_rng(0).uniform(-1, 1, (500, 3)) * [0.01, 1, 1]
-    return flat(points, [-6.0, -3.0, -3.0])
+    return discs(points, np.exp([-6.0, -3.0, -3.0]))
 
 
 def test_a_room_that_leans_is_put_level():
@@ -106,7 +106,7 @@ def test_a_room_on_its_head_gets_another_floor():
     over = matrices_from_quaternions(np.array([0.0, 1.0, 0.0, 0.0]))
     ceiling = np.random.default_rng(2).uniform([-2, 2.39, -2], [2, 2.41, 2], (4000, 3))
     room = leaning_room(np.eye(3))
-    room = replace(room, gaussians=concatenate([room.gaussians, flat(ceiling, [-3.0, -7.0, -3.0])]))
+    room = replace(room, gaussians=concatenate([room.gaussians, discs(ceiling, FLAT)]))
     found = room.transformed(over)
     low = found.gaussians.means[:, 1].min()
     assert low == pytest.approx(0.0, abs=0.05) and found.environment.planes[0][1] == 0.0

@@ -1,16 +1,18 @@
-"""The program's version, how it names itself, and an interrupt of its start."""
+"""The program's version, how it names itself, an interrupt of its start; work in threads and batches."""
 
 import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import core.program as program
 import vrgs
-from core.program import VERSION, as_called
+from core.program import VERSION, as_called, batches, in_threads
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -72,3 +74,29 @@ def test_an_interrupt_while_it_imports_is_told_in_a_line():
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert (run.returncode, run.stdout, run.stderr) == (128 + signal.SIGINT, "", "vrgs: interrupted\n")
+
+
+def test_results_come_in_the_items_order():
+    first = threading.Event()
+
+    def wait_for_the_last(k: int) -> int:
+        if k == 0:
+            first.wait(5)
+        if k == 1:
+            first.set()
+        return k * k
+
+    assert in_threads(wait_for_the_last, range(2)) == [0, 1]
+    assert in_threads(wait_for_the_last, []) == []
+
+
+def test_an_error_in_a_thread_is_raised():
+    with pytest.raises(ZeroDivisionError):
+        in_threads(lambda k: 1 // k, [1, 0])
+
+
+@pytest.mark.parametrize("count", [0, 1, 4, 9])
+def test_batches_cover_all_items_once(count):
+    items = np.arange(count)
+    parts = [items[s] for s in batches(count, 4)]
+    assert all(0 < len(part) <= 4 for part in parts) and np.array_equal(np.concatenate([[], *parts]), items)

@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from datetime import date
 from fnmatch import fnmatch
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -41,18 +42,13 @@ VERSIONS = 5  # that each of them writes
 ADDS = ("study",)  # writers of which none may be lost; of the others the last one wins
 
 
-def killed_after(writer: Writer, folder: Path, first: int, seconds: float) -> int:
-    """Let a program write from version `first` on, kill it some seconds after that one; the last that it finished."""
+def killed_after(act: Callable[[Callable[[int], None]], None], seconds: float) -> int:
+    """Let a program act, which tells the numbers of what it has done, and kill it some seconds after the first.
+
+    Returns the last number.
+    """
     receive, send = os.pipe()
-
-    def act() -> None:
-        k = first
-        while True:
-            writer.write(folder, k)
-            os.write(send, k.to_bytes(8, "little"))
-            k += 1
-
-    with child(act) as process:
+    with child(lambda: act(lambda k: os.write(send, k.to_bytes(8, "little")))) as process:
         os.close(send)
         if not select.select([receive], [], [], 60.0)[0]:
             os.kill(process, signal.SIGKILL)
@@ -77,7 +73,13 @@ def kill_once(name: str, folder: Path, seconds: float) -> None:
     writer = WRITERS[name]
     there = writer.version(folder)
     first = 0 if there is None else there + 1
-    done = killed_after(writer, folder, first, seconds)
+
+    def write_on(tell: Callable[[int], None]) -> None:
+        for k in count(first):
+            writer.write(folder, k)
+            tell(k)
+
+    done = killed_after(write_on, seconds)
     there = writer.version(folder)
     assert there in (done, done + 1), f"version {there} is there, {done} was finished"
     left = left_beside(writer, folder)
@@ -98,9 +100,7 @@ def kill_recording(folder: Path, seconds: float) -> None:
 
     path, frames = folder / "long.h5", some_frames(3000)
 
-    receive, send = os.pipe()
-
-    def play() -> None:
+    def play(tell: Callable[[int], None]) -> None:
         module.WRITE_PERIOD = 0.03  # [s]: each third frame
         world, recording = Ball(), module.Recording(path)
         recording.about = {"scene": "ring_toss"}
@@ -109,21 +109,12 @@ def kill_recording(folder: Path, seconds: float) -> None:
             recording.after(world)
             if i % 30 == 29:
                 recording.flush()
-                os.write(send, (i - 2).to_bytes(8, "little"))
+                tell(i - 2)
             time.sleep(0.0005)
 
-    with child(play) as process:
-        os.close(send)
-        select.select([receive], [], [], 60.0)
-        time.sleep(seconds)
-        os.kill(process, signal.SIGKILL)
-    done = b""
-    while block := os.read(receive, 1 << 16):
-        done += block
-    os.close(receive)
+    least = killed_after(play, seconds)
     part = folder / "long.h5.part"
     recorded = Replay.load(part).recorded
-    least = int.from_bytes(done[-8:], "little")
     assert len(recorded) >= least, f"{len(recorded)} frames of {least} are there"
     assert all(same(a, b) for a, b in zip(frames[: len(recorded)], recorded, strict=True))
     part.unlink()
@@ -247,8 +238,8 @@ def main(words: list[str] | None = None) -> int:
     more = {"kill": ["long recording"], "full": [], "together": []}[args.fault]
     names = [n for n in WRITERS if args.fault != "together" or n != "recording"]  # two recordings of one name: refused
     for name in args.writer or [*names, *more]:
-        begin, wrong, count = time.monotonic(), [], args.count or {"kill": 200, "full": 1, "together": 20}[args.fault]
-        for _ in range(count):
+        begin, wrong, times = time.monotonic(), [], args.count or {"kill": 200, "full": 1, "together": 20}[args.fault]
+        for _ in range(times):
             with tempfile.TemporaryDirectory(dir=args.folder) as folder:
                 try:
                     if args.fault == "full":
@@ -263,7 +254,7 @@ def main(words: list[str] | None = None) -> int:
                     wrong.append(f"{type(e).__name__}: {e}")
         failed += len(wrong)
         took = time.monotonic() - begin
-        print(f"{name:14} {count} times, {took:.0f} s: {len(wrong)} failures {'; '.join(wrong)[:500]}", flush=True)
+        print(f"{name:14} {times} times, {took:.0f} s: {len(wrong)} failures {'; '.join(wrong)[:500]}", flush=True)
     return int(failed > 0)
 
 

@@ -65,7 +65,7 @@ def bent_by(cage: Cage, spacing: float) -> float:
     return float(b @ spsolve(A, b)) / FORCE  # the work the force does: a mean over the tip
 
 
-def bending(vertices: int, *, adaptive: bool, spacing: float = 0.00125, thick: float = THICK) -> dict:
+def bending(vertices: int, *, adaptive: bool, spacing: float, thick: float) -> dict:
     """A cage of the ball with the ear and how far it bends. Taichi must be running. Raises BadInput."""
     phi = ball_with_ear(spacing, thick)
     cage = cage_of(phi, np.zeros((0, 3)), vertices, lambda done: None, adaptive=adaptive)

@@ -6,14 +6,10 @@ import numpy as np
 
 from assets.asset import Asset
 from assets.environment import Environment
-from assets.gaussians import Gaussians
 from core.distance_grid import DistanceGrid
+from tests.support.samples import discs
 
-
-def flat(points: np.ndarray, log_scales: list[float]) -> Gaussians:
-    n = len(points)
-    quats = np.tile([1.0, 0, 0, 0], (n, 1))
-    return Gaussians.of(points, quats, np.tile(log_scales, (n, 1)), np.full(n, 3.0), np.zeros((n, 1, 3)))
+FLAT = np.exp([-3.0, -7.0, -3.0])  # [m] standard deviations of level discs
 
 
 def leaning_room(lean: np.ndarray) -> Asset:
@@ -21,7 +17,7 @@ def leaning_room(lean: np.ndarray) -> Asset:
     rng = np.random.default_rng(1)
     floor = rng.uniform([-2, -0.01, -2], [2, 0.01, 2], (4000, 3))
     top = rng.uniform([0.0, 0.69, 0.0], [1.0, 0.71, 0.6], (1000, 3))
-    g = flat(np.concatenate([floor, top]), [-3.0, -7.0, -3.0])
+    g = discs(np.concatenate([floor, top]), FLAT)
     y = np.linspace(-0.5, 2.5, 31)
     over = np.broadcast_to(y[None, :, None], (31, 31, 31)).astype(np.float32)
     grid = DistanceGrid(over, np.array([-1.5, -0.5, -1.5]), 0.1)

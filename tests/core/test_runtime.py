@@ -1,4 +1,4 @@
-"""Taichi's cache of compiled kernels after programs that were killed, disks that failed, and two programs at once."""
+"""Ctrl-C where Taichi would swallow it, kernels as methods, and its cache after killed programs and failing disks."""
 
 import os
 import signal
@@ -9,10 +9,71 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import taichi as ti
 
-from core.runtime import ENTRY, HEADER_SIZE, INDEX, KEY_SIZE, LOCK, LOCK_AGE, is_sound_index, mend_kernel_cache
+from core.runtime import (
+    ENTRY,
+    HEADER_SIZE,
+    INDEX,
+    KEY_SIZE,
+    LOCK,
+    LOCK_AGE,
+    KernelMethod,
+    bind_kernels_of_all_classes,
+    interrupts_held,
+    is_sound_index,
+    mend_kernel_cache,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_an_interrupt_acts_after_what_would_swallow_it():
+    after = []
+    with pytest.raises(KeyboardInterrupt), interrupts_held():
+        try:
+            signal.raise_signal(signal.SIGINT)
+            after.append("went on")
+        except:  # noqa: E722 as Taichi does
+            after.append("swallowed")
+    assert after == ["went on"] and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_kernels_are_those_of_their_instance(ti_cpu):
+    bind_kernels_of_all_classes()
+
+    @ti.data_oriented
+    class Counter:
+        def __init__(self, step):
+            self.step, self.total = step, ti.field(ti.i32, ())
+
+        @ti.func
+        def twice(self):
+            return 2 * self.step
+
+        @ti.kernel
+        def add(self, n: ti.i32):
+            self.total[None] += n * self.twice()
+
+        @property
+        def value(self):
+            return self.total[None]
+
+    class Named(Counter):
+        pass
+
+    one, other = Counter(1), Named(10)
+    for counter in (one, other):
+        counter.add(3)
+    assert (one.value, other.value) == (6, 60)
+    assert isinstance(vars(Counter)["add"], KernelMethod)
+    assert Counter.__getattribute__ is object.__getattribute__  # Taichi's looks into each access
+
+
+def test_classes_from_before_the_start_are_bound(ti_cpu):
+    from sim.state import State
+
+    assert State.__getattribute__ is object.__getattribute__
 
 
 def index(count: int) -> bytes:
@@ -29,15 +90,8 @@ def test_a_damaged_index_is_told_from_a_sound_one():
     assert is_sound_index(index(0)) and is_sound_index(index(9))
     good = index(5)
     assert not any(is_sound_index(good[:n]) for n in (0, 7, 29, 30, 200, len(good) - 1))
-    for at in (
-        0,
-        22,
-        HEADER_SIZE,
-        HEADER_SIZE + 8,
-        HEADER_SIZE + 20,
-        HEADER_SIZE + 8 + KEY_SIZE,
-        len(good) - ENTRY.itemsize,
-    ):
+    first = HEADER_SIZE + 8  # a key
+    for at in (0, 22, HEADER_SIZE, first, first + 12, first + KEY_SIZE, len(good) - ENTRY.itemsize):
         for bit in (0, 3, 7):
             bad = bytearray(good)
             bad[at] ^= 1 << bit

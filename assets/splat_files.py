@@ -16,6 +16,7 @@ from assets.formats.sog import read_sog
 from assets.formats.splat import read_ksplat, read_splat, write_splat
 from assets.formats.spz import read_spz, write_spz
 from assets.gaussians import Gaussians, Report
+from assets.hdf5 import open_hdf5
 from core.errors import BadInput
 
 FileKind = Literal["body", "room", "either", "state"]
@@ -26,34 +27,30 @@ HEADER_MAX = 4096  # [bytes] of a .ply in which its elements are listed
 
 
 def kind_of(path: str | Path) -> FileKind:
-    """Kinds of a file: a mesh a body, a splat a body or a room, an .h5 these or a state. Raises BadInput."""
+    """Kind of a file: a mesh is a body, a splat a body or a room, an .h5 one of these or a state.
+
+    Raises BadInput, which says what else can be done with an .h5 file.
+    """
     path = Path(path)
     file_size(path)
-    suffix = path.suffix.lower()
-    if suffix == ".h5":
-        return kind_of_asset(path)
-    if is_mesh(path):
-        return "body"
-    if suffix in SPLATS:
-        return "either"
-    raise BadInput(f"{path.name}: is none of {', '.join((*SPLATS, *MESHES, '.h5'))}")
-
-
-def kind_of_asset(path: Path) -> FileKind:
-    """The kind of an .h5 file. Raises BadInput, which says what else can be done with it."""
-    from assets.hdf5 import open_hdf5
-
+    if path.suffix.lower() != ".h5":
+        if is_mesh(path):
+            return "body"
+        if path.suffix.lower() in SPLATS:
+            return "either"
+        raise BadInput(f"{path.name}: is none of {', '.join((*SPLATS, *MESHES, '.h5'))}")
     with open_hdf5(path) as file:
-        kind = file.text("", "format")
-        if kind == "vrgs-recording":
-            raise BadInput(f"{path.name}: is a recording: vrgs.py --replay {path.name} plays it")
-        if kind == "vrgs-state":
-            return "state"
-        if kind == "vrgs-study":
-            raise BadInput(f"{path.name}: is the file of a study: vrgs.py study {path.name} compares its trials")
-        if kind != "vrgs-asset":
-            raise BadInput(f"{path.name}: is no asset of VR-GS")
-        return "body" if file.has("cage") else "room"
+        match file.text("", "format"):
+            case "vrgs-asset":
+                return "body" if file.has("cage") else "room"
+            case "vrgs-state":
+                return "state"
+            case "vrgs-recording":
+                raise BadInput(f"{path.name}: is a recording: vrgs.py --replay {path.name} plays it")
+            case "vrgs-study":
+                raise BadInput(f"{path.name}: is the file of a study: vrgs.py study {path.name} compares its trials")
+            case _:
+                raise BadInput(f"{path.name}: is no asset of VR-GS")
 
 
 def is_mesh(path: str | Path) -> bool:
@@ -68,10 +65,6 @@ def is_mesh(path: str | Path) -> bool:
     return header.startswith(b"ply") and b"element face " in header and b"element face 0" not in header
 
 
-def _read_asset(path: Path, report: Report) -> Gaussians:
-    return Asset.load(path).gaussians
-
-
 READERS = {
     ".ply": read_ply,
     ".splat": read_splat,
@@ -79,7 +72,7 @@ READERS = {
     ".spz": read_spz,
     ".sog": read_sog,
     ".json": read_sog,
-    ".h5": _read_asset,
+    ".h5": lambda path, report: Asset.load(path).gaussians,
 }
 COMPRESSED = ".compressed.ply"  # both suffixes, as PlayCanvas's tools name it; recognised by content on reading
 WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}

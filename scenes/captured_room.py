@@ -32,6 +32,8 @@ SUNK = 0.05  # [m] under the floor at which an object has fallen through it
 class CapturedRoom:
     """No goal. The scripted hand lifts free objects a little and lets them fall; it pulls at fixed ones."""
 
+    score, message = 0, "Grab what is here, squeeze it, throw it."
+
     def __init__(self, objects: tuple[RoomObject, ...], floor: float):
         self.objects, self.floor = objects, floor
         turns = min(len(objects), TURNS_MAX)
@@ -64,16 +66,6 @@ class CapturedRoom:
             way, reach = np.array([0.0, LIFT, 0.0]), 0.45 * float(size.max())
         position = grasp + 0.15 * self.away[k] * (1 - ease(t / 0.3)) + way * ease((t - 0.3) / 0.8)
         return [Hand(tuple(position), grip=0.3 <= t < 1.4, reach=max(reach, 0.05))]
-
-    @property
-    def score(self) -> int:
-        return 0
-
-    @property
-    def message(self) -> str:
-        return (
-            "Grab what is here, squeeze it, throw it." if self.objects else "Walk about; --body FILE brings something."
-        )
 
     def verify(self, bodies: list[BodyState]) -> None:
         """Assert the outcome of the scripted play: what was free and taken has moved, and nothing left the room."""

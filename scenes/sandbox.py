@@ -31,6 +31,7 @@ class Sandbox:
     dancer_height   of an animated body [m], at which the hand throws a ring, again and again; None: not animated
     """
 
+    score = 0
     first_throw = 1.2  # [s]
     ring_period = 2.2  # [s] from one throw of a ring to the next
 
@@ -80,10 +81,6 @@ class Sandbox:
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         return [self.throw.hand(time - self.throw_start)] if self.throw else []
-
-    @property
-    def score(self) -> int:
-        return 0
 
     @property
     def message(self) -> str:

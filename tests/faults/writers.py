@@ -31,7 +31,7 @@ from display.study.trial import Trial
 from prepare.progress import Checkpoints, read_arrays
 from prepare.train.trainer import write_checkpoint
 from tests.display.test_recording import Ball, some_frames
-from tests.fuzz.sample_assets import moving_body, some_stage
+from tests.fuzz.sample_files import moving_body, some_stage
 from tests.support.samples import some_gaussians
 
 

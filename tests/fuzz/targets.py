@@ -3,22 +3,374 @@
 A case is a target, a seed and a number: `mutated(target, seed, number, folder)` is always the same file.
 """
 
+import contextlib
 import functools
+import io
+import json
+import tempfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+import h5py
 import numpy as np
+import trimesh
 
+from assets.asset import Asset
 from assets.camera_file import read_cameras
+from assets.environment import Environment
+from assets.formats.gltf import PIXELS_MAX, read_mesh, read_rig
+from assets.images import decode_image, read_image_header
+from assets.library import animated_height, asset_material, cage_vertices, default_material
+from assets.mesh_gaussians import read_triangle_mesh, texture_colours
+from assets.splat_files import read_gaussians, write_gaussians
+from commands.play import PlayOptions, take_options
+from core.errors import BadInput
+from core.vocabulary import Light
+from display.keep.scene_state import game_values
+from display.keep.state_file import read_state, write_state
+from display.preferences import Bookmarks, PathText, Preferences
+from display.record.replay import Replay
+from display.study.comparison import compare_study, overview, table
 from display.study.questionnaire import read_answers_file
+from display.study.study_file import Study, read_study, write_study
+from display.web.page_messages import read_message
+from prepare.progress import Checkpoints, arrays_of, gaussians_of
 from prepare.rig.landmarks import read_landmarks
-from tests.fuzz import hdf5_targets as hdf5
-from tests.fuzz import splat_targets as splats
-from tests.fuzz import text_targets as texts
+from prepare.train.capture_files import read_capture
+from prepare.train.photographs import load_photograph
+from prepare.train.trainer import read_checkpoint, write_checkpoint
+from tests.display.test_recording import as_version_3, record, some_frames
+from tests.display.test_study import some_study
 from tests.fuzz.hdf5_mutations import claim_text, inside_hdf5
-from tests.fuzz.mutations import BYTES, JSON, TEXT, Files, Mutation, inside_zip, several
+from tests.fuzz.mutations import (
+    BYTES,
+    JSON,
+    TEXT,
+    Files,
+    Mutation,
+    inside_gzip,
+    inside_zip,
+    mutated_json,
+    saved,
+    several,
+)
+from tests.fuzz.sample_files import SomeGame, moving_body, record_some, some_stage, some_state
+from tests.prepare.test_captures import binary_model, text_model, transforms, write_images
+from tests.support import splat_encoders as encode
+from tests.support.glb import bar, packed
+from tests.support.samples import some_gaussians
+from tests.support.splat_encoders import ply_bytes, sog_files
+
+
+def silent(line: str) -> None:
+    """Take a report."""
+
+
+def splat_samples(suffix: str) -> Callable[[Path], list[Files]]:
+    def samples(folder: Path) -> list[Files]:
+        g = some_gaussians(14, 1)
+        match suffix:
+            case ".ply":
+                text = np.array(list(encode.properties(g).values())).T
+                forms = [encode.ply_bytes(encode.properties(some_gaussians(9, d))) for d in (0, 3)]
+                forms += [encode.compressed_bytes(some_gaussians(270, 1)), encode.compressed_bytes(g, order=">")]
+                names = encode.properties(g)
+                head = ["ply", "format ascii 1.0", f"element vertex {len(g)}", *(f"property float {n}" for n in names)]
+                lines = [" ".join(f"{v:.5g}" for v in row) for row in text]
+                forms.append("\n".join([*head, "end_header", *lines, ""]).encode())
+            case ".splat":
+                forms = [encode.splat_bytes(g)]
+            case ".ksplat":
+                forms = [encode.ksplat_bytes([some_gaussians(20, 1)], level) for level in (0, 1, 2)]
+            case ".spz":
+                version_3 = saved(folder, "s.spz", lambda path: write_gaussians(path, g))["s.spz"]
+                forms = [version_3, encode.spz_4_bytes(version_3)]
+                forms.append(encode.spz_bytes(1, b"\0\0\0\x3c\0\0", rotation=b"\x80" * 3))
+            case _:
+                forms = [encode.zipped(encode.sog_files(g, version)) for version in (1, 2)]
+        return [{f"splat{suffix}": data} for data in forms]
+
+    return samples
+
+
+def unzipped_sog(folder: Path) -> list[Files]:
+    return [sog_files(some_gaussians(14, 1), version) for version in (1, 2)]
+
+
+def read_splat(path: Path) -> None:
+    read_gaussians(path, silent).check(str(path))
+
+
+def inside_gzip_only(rng: np.random.Generator, files: Files) -> Files:
+    data = next(iter(files.values()))
+    return (inside_gzip if data[:2] == b"\x1f\x8b" else several(BYTES))(rng, files)
+
+
+def inside_sog(rng: np.random.Generator, files: Files) -> Files:
+    if "meta.json" in files and rng.random() < 0.5:
+        return files | {"meta.json": mutated_json(rng, files["meta.json"])}
+    return several(BYTES)(rng, files)
+
+
+def mesh_samples(folder: Path) -> list[Files]:
+    """A box in each of the formats of triangle meshes, one of them with a texture."""
+    box = trimesh.creation.box()
+    kinds = ("obj", "stl", "off", "ply", "glb")
+    made = [box.export(file_type=kind, **({"encoding": "ascii"} if kind == "ply" else {})) for kind in kinds]
+    texts = [text.encode() if isinstance(text, str) else text for text in made]
+    found = [{f"mesh.{kind}": text} for kind, text in zip(kinds, texts, strict=True)]
+    uv = b"".join(b"vt %.2f %.2f\n" % (k / 8, 1 - k / 8) for k in range(8))
+    faces = b"".join(b"f " + b" ".join(b"%d/%d" % (v + 1, v + 1) for v in face) + b"\n" for face in box.faces.tolist())
+    points = b"".join(b"v %.2f %.2f %.2f\n" % tuple(v) for v in box.vertices.tolist())
+    material = b"newmtl m\nKd 0.5 0.4 0.3\nmap_Kd image.png\n"
+    textured = b"mtllib mesh.mtl\nusemtl m\n" + points + uv + faces
+    found.append({"mesh.obj": textured, "mesh.mtl": material, "image.png": image_samples(folder)[0]["image.png"]})
+    return found
+
+
+def read_mesh_file(path: Path) -> None:
+    for part in read_triangle_mesh(path):
+        with np.errstate(all="ignore"):
+            texture_colours(part, np.zeros(3, int), np.full((3, 3), 1 / 3), 0.01)
+
+
+def glb_samples(folder: Path) -> list[Files]:
+    builder, scene = bar()
+    return [{"rig.glb": packed(json.dumps(scene).encode(), builder.binary)}]
+
+
+def inside_glb(rng: np.random.Generator, files: Files) -> Files:
+    """The JSON or the buffer of a .glb mutated, in a sound container."""
+    ((name, data),) = files.items()
+    size = int.from_bytes(data[12:16], "little")
+    text, binary = data[20 : 20 + size], data[28 + size :]
+    if rng.random() < 0.7:
+        text = mutated_json(rng, text)
+    else:
+        binary = several(BYTES)(rng, {"": binary})[""]
+    return {name: packed(text, binary)}
+
+
+def read_skinned_glb(path: Path) -> None:
+    rig, file = read_rig(path)
+    read_mesh(file, len(rig.joints))
+
+
+def image_samples(folder: Path) -> list[Files]:
+    pixels = np.random.default_rng(0).integers(0, 255, (20, 30, 3), np.uint8)
+    kinds = (".png", ".jpg", ".webp")
+    return [{f"image{kind}": cv2.imencode(kind, pixels)[1].tobytes()} for kind in kinds]
+
+
+def read_image(path: Path) -> None:
+    data = path.read_bytes()
+    header = read_image_header(data)
+    if header is not None and 0 < header.width * header.height <= PIXELS_MAX:
+        decode_image(data)
+
+
+def json_samples(name: str, *values) -> Callable[[Path], list[Files]]:
+    return lambda folder: [{name: json.dumps(value).encode()} for value in values]
+
+
+CAMERA = {"width": 16, "height": 8, "fx": 20, "fy": 20.5, "cx": 8, "cy": -4, "world_to_camera": np.eye(4).tolist()}
+ANSWERS = {"format": "vrgs-answers", "participant": "Ida", "setting": "physics", "answers": {"realism": 6, "ease": 0}}
+LANDMARKS = {
+    "head_top": [0, 1.7, 0.0],
+    "held": [{"by": "left_hand", "center": [0.3, 1, 0], "radius": 0.1}],
+    "joints": {"Hips": "pelvis"},
+}
+
+
+PREFERENCES = {
+    "window.size": [800, 600],
+    "window.place": [0, -20],
+    "panel.open": True,
+    "panel.sections": {"Light": False},
+    "light.ring_toss": {"position": [1, 2, 3], "strength": 0.5},
+    "bookmarks.ring_toss": {"1": [[0, 1.6, 1], [0, 0.8, 0]]},
+    "folder": "/films",
+}
+
+
+def read_preferences(path: Path) -> None:
+    """Read settings, and one of each kind; what is damaged is told and set aside, and the program goes on."""
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        preferences = Preferences(path)
+        for key, kind in (
+            ("window.size", tuple[float, float]),
+            ("panel.open", bool),
+            ("folder", PathText),
+            ("panel.sections", dict[str, bool]),
+            ("light.ring_toss", Light),
+            ("bookmarks.ring_toss", Bookmarks),
+        ):
+            preferences.get(key, kind)
+        preferences.set("sound", False)
+    assert said.getvalue().count("\n") <= 1 and Preferences(path).get("sound", bool, True) is False
+    for aside in path.parent.glob("*.broken*"):
+        aside.unlink()
+
+
+MESSAGES = (
+    ["move", 0.5, 0.4, 1000],
+    ["button", "left", True, 0.5, 0.5, 1000],
+    ["panel", "Light", "shadow", 0.5, False],
+    ["panel", "Play", "Pause", True, False],
+    ["open", "manipulation", {"animal": "fox"}],
+    ["key", "KeyP", "p", True, False, 10],
+    ["shown", 4, None],
+)
+
+
+def read_page_message(path: Path) -> None:
+    try:
+        read_message(path.read_bytes().decode("utf-8", "surrogatepass"))
+    except (BadInput, UnicodeDecodeError) as e:  # the server closes the connection
+        raise BadInput(f"{path}: {type(e).__name__}") from e
+
+
+def capture_samples(folder: Path) -> list[Files]:
+    """Photographs with a transforms.json, and COLMAP models as text and binary."""
+    found = []
+    for make in (None, text_model, binary_model):
+        with tempfile.TemporaryDirectory() as place:
+            root = Path(place)
+            write_images(root)
+            if make is None:
+                (root / "transforms.json").write_text(json.dumps(transforms(ply_file_path="points.ply")))
+                points = {name: np.arange(6, dtype=np.float32) for name in ("x", "y", "z")}
+                (root / "points.ply").write_bytes(ply_bytes(points))
+            else:
+                make(root)
+            files = {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
+        first = next(name for name in files if "transforms" in name or "cameras" in name)
+        found.append({first: files.pop(first), **files})
+    return found
+
+
+def inside_capture(rng: np.random.Generator, files: Files) -> Files:
+    if "transforms.json" in files:
+        return files | {"transforms.json": mutated_json(rng, files["transforms.json"])}
+    return several(BYTES + TEXT)(rng, files)
+
+
+def read_whole_capture(path: Path) -> None:
+    capture = read_capture(path if path.suffix == ".json" else path.parents[2])
+    load_photograph(capture.views[0])
+    assert np.isfinite([*capture.middle, capture.extent, *capture.up, *capture.upright().points.ravel()]).all()
+
+
+def samples(name: str, *save: Callable[[Path], object]) -> Callable[[Path], list[Files]]:
+    """A sample from each of the functions, which write a file."""
+    return lambda folder: [saved(folder, name, write) for write in save]
+
+
+def with_variable_texts(path: Path) -> None:
+    """An asset whose texts are of variable length, as in files before 2026."""
+    moving_body().save(path)
+    with h5py.File(path, "r+") as file:
+        for node in (file, *(file[name] for name in file)):
+            for key, value in node.attrs.items():
+                if isinstance(value, bytes):
+                    node.attrs[key] = value.decode()
+
+
+asset_samples = samples(
+    "asset.h5", *(lambda path, m=m, q=q: m().save(path, quantised=q) for m in (moving_body, some_stage) for q in (0, 1))
+)
+old_asset_samples = samples("asset.h5", with_variable_texts)
+
+
+def read_asset(path: Path) -> None:
+    """Load an asset in each of the ways of the program."""
+    for look in (asset_material, animated_height, cage_vertices, default_material, Environment.load):
+        try:
+            look(str(path))
+        except BadInput as e:
+            assert "\n" not in str(e)
+    asset = Asset.load(path)
+    if asset.animation is not None:
+        asset.animation.matrices(0.3)
+
+
+def interrupted(path: Path) -> None:
+    """The journal of a recording, as an interrupted session leaves it."""
+    recording = record(path.with_name("other.h5"), some_frames(24), close=False)
+    recording.flush()
+    path.write_bytes(recording.part.read_bytes())
+    recording.close()
+    recording.path.unlink()
+
+
+recording_samples = samples("play.h5", record_some)
+old_recording_samples = samples("play.h5", lambda path: (record_some(path), as_version_3(path)))
+journal_samples = samples("play.h5.part", interrupted)
+
+
+def read_recording(path: Path) -> None:
+    """Load a recording, and take over its options."""
+    replay = Replay.load(path)
+    take_options(PlayOptions(scene=str(replay.about.get("scene"))), replay.about, path, "recording was made")
+    replay.world_options({})
+
+
+study_samples = samples(
+    "study.h5", lambda path: write_study(path, some_study()), lambda path: write_study(path, Study())
+)
+
+
+def read_and_compare_study(path: Path) -> None:
+    study = read_study(path)
+    overview(study)
+    list(table(compare_study(study)))
+
+
+state_samples = samples("scene.state.h5", lambda path: write_state(path, some_state()))
+
+
+def read_saved_state(path: Path) -> None:
+    """Read a state, and what its game was."""
+    state = read_state(path)
+    with contextlib.suppress(BadInput):
+        if state.settings.game is not None:
+            game_values(SomeGame(), state.settings.game)
+
+
+def training_state() -> dict[str, np.ndarray]:
+    """The state of a training with poses."""
+    shapes = {"mean": (5, 3), "logit": (5,), "first": (5, 11), "sh": (5, 4, 3)}
+    state = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    state |= {"pose": np.zeros((4, 3, 6)), "pose_steps": np.zeros(4, np.int64), "done": np.array([7])}
+    return state | {"queue": np.arange(3, dtype=np.int32), "rng": np.arange(4, dtype=np.uint64)}
+
+
+training_samples = samples("training.h5", lambda path: write_checkpoint(path, training_state(), {"degree": 1}))
+
+
+def read_training(path: Path) -> None:
+    read_checkpoint(path, {"degree": 1}, training_state(), 4)
+
+
+def write_step(path: Path) -> None:
+    """A kept step of a preparation."""
+    with open(path, "wb") as file:
+        np.savez(file, **arrays_of(some_gaussians(20, 1), up="+y", counts={"read": 20}))
+
+
+step_samples = samples("step.npz", write_step)
+
+
+def read_step(path: Path) -> None:
+    """Take up a kept step: its arrays, or it is made again; the pipeline bears these errors of what they hold."""
+    checkpoints = Checkpoints()
+    checkpoints.folder = path.parent
+    arrays = checkpoints.step(path.stem, lambda: {})
+    with contextlib.suppress(LookupError, TypeError, ValueError):  # then the pipeline begins anew
+        gaussians_of(arrays)[0].check(str(path))
 
 
 @dataclass(frozen=True)
@@ -42,7 +394,7 @@ def mutated(target: Target, seed: int, number: int, folder: Path) -> Files:
     samples = sound_samples(target.name, folder)
     files = dict(samples[rng.integers(len(samples))])
     inside = target.inside(folder)
-    outside = BYTES + (TEXT if rng.random() < 0.5 else []) + ([claim_text] if target.inside is HDF5 else [])
+    outside = BYTES + (TEXT if rng.random() < 0.5 else []) + ([claim_text] if target.inside is in_hdf5 else [])
     return several(inside if inside and rng.random() < 0.6 else outside)(rng, files)
 
 
@@ -70,48 +422,40 @@ def read_answers(path: Path) -> None:
     read_answers_file(path, "now")
 
 
-HDF5: Callable[[Path], list[Mutation]] = lambda folder: [inside_hdf5(folder)]  # noqa: E731
+def in_hdf5(folder: Path) -> list[Mutation]:
+    return [inside_hdf5(folder)]
+
+
+def in_json(folder: Path) -> list[Mutation]:
+    return JSON
+
+
 TARGETS = {
     target.name: target
     for target in (
-        Target("ply", splats.splat_samples(".ply"), splats.read_splat),
-        Target("splat", splats.splat_samples(".splat"), splats.read_splat),
-        Target("ksplat", splats.splat_samples(".ksplat"), splats.read_splat),
-        Target("spz", splats.splat_samples(".spz"), splats.read_splat, lambda folder: [splats.inside_gzip_only]),
-        Target("sog", splats.splat_samples(".sog"), splats.read_splat, lambda folder: [inside_zip(splats.inside_sog)]),
-        Target("meta.json", splats.unzipped_sog, splats.read_splat, lambda folder: [splats.inside_sog]),
-        Target("asset", hdf5.asset_samples, hdf5.read_asset, HDF5),
-        Target("old asset", hdf5.old_asset_samples, hdf5.read_asset, HDF5),
-        Target("recording", hdf5.recording_samples, hdf5.read_recording, HDF5),
-        Target("old recording", hdf5.old_recording_samples, hdf5.read_recording, HDF5),
-        Target("journal", hdf5.journal_samples, hdf5.read_recording, lambda folder: BYTES + TEXT),
-        Target("study", hdf5.study_samples, hdf5.read_and_compare_study, HDF5),
-        Target(
-            "camera",
-            texts.json_samples("cam.json", texts.CAMERA, [texts.CAMERA, texts.CAMERA]),
-            read_cameras,
-            lambda folder: JSON,
-        ),
-        Target(
-            "answers",
-            texts.json_samples("answers.json", texts.ANSWERS),
-            read_answers,
-            lambda folder: JSON,
-        ),
-        Target("landmarks", texts.json_samples("l.json", texts.LANDMARKS), read_landmarks, lambda folder: JSON),
-        Target("state", hdf5.state_samples, hdf5.read_saved_state, HDF5),
-        Target(
-            "preferences",
-            texts.json_samples("p.json", texts.PREFERENCES, {}),
-            texts.read_preferences,
-            lambda folder: JSON,
-        ),
-        Target("message", texts.json_samples("m.json", *texts.MESSAGES), texts.read_page_message, lambda folder: JSON),
-        Target("glb", splats.glb_samples, splats.read_skinned_glb, lambda folder: [splats.inside_glb]),
-        Target("mesh", splats.mesh_samples, splats.read_mesh_file, lambda folder: BYTES + TEXT),
-        Target("capture", texts.capture_samples, texts.read_whole_capture, lambda folder: [texts.inside_capture]),
-        Target("training", hdf5.training_samples, hdf5.read_training, HDF5),
-        Target("image", splats.image_samples, splats.read_image),
-        Target("checkpoint", hdf5.step_samples, hdf5.read_step, lambda folder: [inside_zip(several(BYTES))]),
+        Target("ply", splat_samples(".ply"), read_splat),
+        Target("splat", splat_samples(".splat"), read_splat),
+        Target("ksplat", splat_samples(".ksplat"), read_splat),
+        Target("spz", splat_samples(".spz"), read_splat, lambda folder: [inside_gzip_only]),
+        Target("sog", splat_samples(".sog"), read_splat, lambda folder: [inside_zip(inside_sog)]),
+        Target("meta.json", unzipped_sog, read_splat, lambda folder: [inside_sog]),
+        Target("asset", asset_samples, read_asset, in_hdf5),
+        Target("old asset", old_asset_samples, read_asset, in_hdf5),
+        Target("recording", recording_samples, read_recording, in_hdf5),
+        Target("old recording", old_recording_samples, read_recording, in_hdf5),
+        Target("journal", journal_samples, read_recording, lambda folder: BYTES + TEXT),
+        Target("study", study_samples, read_and_compare_study, in_hdf5),
+        Target("camera", json_samples("cam.json", CAMERA, [CAMERA, CAMERA]), read_cameras, in_json),
+        Target("answers", json_samples("answers.json", ANSWERS), read_answers, in_json),
+        Target("landmarks", json_samples("l.json", LANDMARKS), read_landmarks, in_json),
+        Target("state", state_samples, read_saved_state, in_hdf5),
+        Target("preferences", json_samples("p.json", PREFERENCES, {}), read_preferences, in_json),
+        Target("message", json_samples("m.json", *MESSAGES), read_page_message, in_json),
+        Target("glb", glb_samples, read_skinned_glb, lambda folder: [inside_glb]),
+        Target("mesh", mesh_samples, read_mesh_file, lambda folder: BYTES + TEXT),
+        Target("capture", capture_samples, read_whole_capture, lambda folder: [inside_capture]),
+        Target("training", training_samples, read_training, in_hdf5),
+        Target("image", image_samples, read_image),
+        Target("checkpoint", step_samples, read_step, lambda folder: [inside_zip(several(BYTES))]),
     )
 }

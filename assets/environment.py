@@ -13,7 +13,7 @@ from assets.hdf5 import Hdf5Reader, open_hdf5
 from assets.quantisation import read_grid, write_grid
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from core.planes import LEVEL_COS, weighted_percentile
+from core.planes import LEVEL_COS
 
 FINE_GRIDS_MAX = 16
 PLANE_KINDS = ("floor", "table", "shelf")
@@ -127,7 +127,7 @@ def _level_part(plane: tuple, points: np.ndarray, areas: np.ndarray) -> tuple | 
     own &= np.abs(y - middle) < PLANE_LAYER
     if areas[own].sum() < PLANE_SHARE * (x1 - x0) * (z1 - z0) or middle < PLANE_REACH / 2:
         return None
-    found = weighted_percentile(y[own], areas[own], (50,))[0]
+    found = np.percentile(y[own], 50, weights=areas[own], method="inverted_cdf")
     low, high = np.percentile(points[own][:, [0, 2]], [2, 98], axis=0)
     return (kind, float(found), *map(float, (low[0], low[1], high[0], high[1])))
 

@@ -13,14 +13,6 @@ HEIGHT_BINS = 300  # of the histogram in which the floor is searched
 FLOOR_HEIGHT_MAX = 0.45  # of the scene's height: above are tables and the ceiling
 
 
-def weighted_percentile(values: np.ndarray, weights: np.ndarray, percents) -> np.ndarray:
-    """Percentiles (K,) of values (N,) with weights (N,)."""
-    order = np.argsort(values, kind="stable")
-    total = weights[order].cumsum()
-    at = np.searchsorted(total, np.asarray(percents) / 100 * total[-1])
-    return values[order][at.clip(0, len(values) - 1)]
-
-
 def fit_plane(points: np.ndarray, weights: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Plane of least weighted squares of the distances of points (N, 3): its centre (3,) and unit normal (3,), on the
     side of `towards` (3,)."""
@@ -51,7 +43,7 @@ def lowest_level_plane(
     heights (N,), level (N,) bool: the normal is about vertical, areas (N,). A plane is thin by the range of the
     heights, or by the `size` of the scene if that is larger: the range of a bare floor's is no more than its roughness.
     """
-    low, high = weighted_percentile(heights, areas, (0.2, 99.8))
+    low, high = np.percentile(heights, (0.2, 99.8), weights=areas, method="inverted_cdf")
     step = max(high - low, size, 1e-6) / HEIGHT_BINS
     bins = np.floor((heights - low) / step).clip(-1, HEIGHT_BINS).astype(int) + 1
     weight = np.bincount(bins[level], areas[level], HEIGHT_BINS + 2)
@@ -60,7 +52,7 @@ def lowest_level_plane(
     near = level & (np.abs(bins - first) <= 4)
     if not areas[near].sum():
         return float(low), 0.0
-    floor = weighted_percentile(heights[near], areas[near], (50,))[0]
+    floor = np.percentile(heights[near], 50, weights=areas[near], method="inverted_cdf")
     return float(floor), float(smooth[first] / areas.sum())
 
 
@@ -77,7 +69,7 @@ def fit_level_plane(
 
     Least squares are repeated over ever nearer points (N, 3), whose normals (N, 3) lie along the plane's.
     """
-    limit = 0.02 * np.ptp(weighted_percentile(points @ up, areas, (0.2, 99.8)))
+    limit = 0.02 * np.ptp(np.percentile(points @ up, (0.2, 99.8), weights=areas, method="inverted_cdf"))
     for _ in range(8):
         off = points @ up - height
         own = (np.abs(off) < limit) & (np.abs(normals @ up) > LEVEL_COS)

@@ -1,16 +1,8 @@
 """Skeletal animation of a body: joints, their motion, and the cage vertices that follow. Linear blend skinning.
 
-x = sum_j w_j  world_j  inverse_bind_j  X,      world_j = world_parent(j)  T R S
+    x = sum_j w_j world_j inverse_bind_j X,      world_j = world_parent(j) T R S
 
-The group `animation` of an asset file:
-
-| dataset | shape, type | |
-| inverse_bind | (J, 4, 4) float64 | from the asset's frame to each joint's at rest |
-| parents | (J,) int32 | each before its children, itself for none |
-| rest_translations, rest_rotations, rest_scales | (J, 3), (J, 4), (J, 3) float32 | local; metres, wxyz |
-| translations, rotations, scales | (F, J, 3), (F, J, 4), (F, J, 3) float32 | of each frame |
-| vertices, joints, weights, driven | (S,), (S, 4) int32, (S, 4) float32, (S,) uint8 | the cage's surface |
-| attributes `fps` [1/s], `names` | | of the joints, a JSON list |
+The group `animation` of an asset file is described in docs/formats.md.
 """
 
 from __future__ import annotations

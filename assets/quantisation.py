@@ -1,17 +1,9 @@
 """Version 2 of the asset file: Gaussians, embeddings and distance grids as integers, in a fifth of the bytes.
 
-Each array of integers has an attribute `step`, and stands for step times the integers. What is lost:
-
-    means            up to 1/32 of the smallest width in a block of BLOCK Gaussians (the middle standard deviation of
-                     one: what is seen of a flat or thin one), or the precision of float32 where that is coarser
-    quats            "smallest three" in 10 bits each: 5 mrad
-    log_scales       1/128: 0.8 %
-    logit_opacities  1/64: 0.4 % of opacity
-    sh               1/256: 0.3 of an 8-bit step of colour, for each coefficient
-    distances        1/128 of the spacing of a grid
-    weights          made again from the Gaussians, the cage and the local tetrahedra's half axes (0.8 %)
-
-Means are integers on a lattice of each block's own step, from the block's lowest corner.
+The datasets and what is lost in each: docs/formats.md. An array of integers has an attribute `step`, and stands for
+step times the integers. Means lie on a lattice of each block's own step, from the block's lowest corner: half a step is
+1/32 of the smallest width in the block (the middle standard deviation of a Gaussian: what is seen of a flat or thin
+one), or the precision of float32 where that is coarser.
 """
 
 from __future__ import annotations

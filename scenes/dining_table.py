@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from core.material import Material
-from scenes.scene import Body, Box, Light, Plane, Room
+from scenes.scene import Body, Box, Light, Plane, Room, floor_and_walls
 
 TABLE_TOP = 0.75  # [m] above the floor
 BOTTLE = (0.0, TABLE_TOP, -0.15)  # [m]
@@ -19,14 +19,7 @@ def furniture() -> list[Body]:
 
 def colliders() -> list[Plane | Box]:
     """The dining room's floor, walls and table top."""
-    return [
-        Plane((0, 0, 0), (0, 1, 0)),
-        Plane((-2, 0, 0), (1, 0, 0)),
-        Plane((2, 0, 0), (-1, 0, 0)),
-        Plane((0, 0, -2.2), (0, 0, 1)),
-        Plane((0, 0, 2.3), (0, 0, -1)),
-        Box((0, TABLE_TOP - 0.02, 0), (0.8, 0.02, 0.45), friction=0.5),
-    ]
+    return [*floor_and_walls((-2, 2), (-2.2, 2.3)), Box((0, TABLE_TOP - 0.02, 0), (0.8, 0.02, 0.45), friction=0.5)]
 
 
 def room() -> Room:

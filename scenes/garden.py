@@ -9,7 +9,7 @@ import numpy as np
 
 from assets.library import default_material
 from core.material import Material
-from scenes.scene import Body, Capsule, Light, Plane, Room, Scene
+from scenes.scene import Body, Capsule, Light, Plane, Room, Scene, floor_and_walls
 
 BACKGROUND = (0.62, 0.74, 0.85)  # sky, behind the few pixels that no Gaussian covers
 SUNLIGHT = (0.52, -0.74, -0.42)  # direction in which it travels
@@ -36,14 +36,8 @@ def garden_scene(bodies: Iterable[Body], **rest) -> Scene:
 
 def colliders() -> list[Plane | Capsule]:
     """Lawn, hedges, fence, and the trunk of the tree."""
-    return [
-        Plane((0, 0, 0), (0, 1, 0), friction=0.9),
-        Plane((-3.6, 0, 0), (1, 0, 0)),
-        Plane((3.6, 0, 0), (-1, 0, 0)),
-        Plane((0, 0, -4.2), (0, 0, 1)),
-        Plane((0, 0, 3.0), (0, 0, -1)),
-        Capsule((-2.15, 0.0, -2.35), (-2.12, 1.3, -2.32), 0.13),
-    ]
+    trunk = Capsule((-2.15, 0.0, -2.35), (-2.12, 1.3, -2.32), 0.13)
+    return [*floor_and_walls((-3.6, 3.6), (-4.2, 3.0), friction=0.9), trunk]
 
 
 def sun() -> Light:

@@ -7,7 +7,7 @@ import numpy as np
 from assets.library import animated_height, default_material
 from core.errors import BadInput
 from core.material import Material
-from scenes.scene import Body, BodyState, Box, Hand, Light, Plane, Role, Room, Scene
+from scenes.scene import Body, BodyState, Box, Hand, Light, Plane, Role, Room, Scene, floor_and_walls
 from scenes.scripted_hands import Throw
 
 # The theatre
@@ -93,11 +93,7 @@ def room_colliders() -> list[Plane | Box]:
     middle, half = 0.5 * (STAGE_FRONT + STAGE_BACK), 0.5 * (STAGE_FRONT - STAGE_BACK)
     pilaster = 0.5 * (HALL_HALF_WIDTH - OPENING_HALF_WIDTH)
     return [
-        Plane((0, 0, 0), (0, 1, 0)),
-        Plane((-HALL_HALF_WIDTH, 0, 0), (1, 0, 0)),
-        Plane((HALL_HALF_WIDTH, 0, 0), (-1, 0, 0)),
-        Plane((0, 0, STAGE_BACK), (0, 0, 1)),
-        Plane((0, 0, HALL_BACK), (0, 0, -1)),
+        *floor_and_walls((-HALL_HALF_WIDTH, HALL_HALF_WIDTH), (STAGE_BACK, HALL_BACK)),
         Box((0, 0.5 * STAGE_TOP, middle), (HALL_HALF_WIDTH, 0.5 * STAGE_TOP, half), friction=0.5),
         Box((0, STAGE_TOP + 0.035, 0.635), (1.32, 0.035, 0.045)),  # the footlights
         *(Box((s * (OPENING_HALF_WIDTH + pilaster), 2.2, 0.37), (pilaster, 1.5, 0.07)) for s in (-1, 1)),

@@ -69,6 +69,15 @@ class Room:
     marks: tuple[Body, ...] = ()
 
 
+def floor_and_walls(
+    x: tuple[float, float], z: tuple[float, float], *, floor: float = 0.0, friction: float = 0.5
+) -> list[Plane]:
+    """A floor at a height, with its friction, and four walls that face each other along x and z [m]."""
+    sides = [Plane((x[0], 0, 0), (1, 0, 0)), Plane((x[1], 0, 0), (-1, 0, 0))]
+    ends = [Plane((0, 0, z[0]), (0, 0, 1)), Plane((0, 0, z[1]), (0, 0, -1))]
+    return [Plane((0, floor, 0), (0, 1, 0), friction=friction), *sides, *ends]
+
+
 @dataclass(frozen=True)
 class Scene:
     """A demo: its bodies, colliders, light and view, and its game."""

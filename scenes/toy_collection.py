@@ -6,7 +6,7 @@ import numpy as np
 
 from assets.library import default_material
 from core.material import Material
-from scenes.scene import Body, BodyState, Box, Hand, Light, Plane, Quat, Role, Room, Scene
+from scenes.scene import Body, BodyState, Box, Hand, Light, Plane, Quat, Role, Room, Scene, floor_and_walls
 from scenes.scripted_hands import Carry, ease
 
 # The children's room
@@ -118,11 +118,7 @@ def room_colliders() -> list[Plane | Box]:
     boards = [Box((-0.19, y, -1.51), (0.67, 0.011, 0.17)) for y in (0.061, 0.334, SHELF_TOP - 0.011)]
     uprights = [Box((-0.849 + 0.4393 * k, 0.31, -1.51), (0.011, 0.31, 0.165)) for k in range(4)]
     return [
-        Plane((0, FLOOR, 0), (0, 1, 0), friction=0.7),
-        Plane((-1.9, 0, 0), (1, 0, 0)),
-        Plane((1.9, 0, 0), (-1, 0, 0)),
-        Plane((0, 0, -1.7), (0, 0, 1)),
-        Plane((0, 0, 2.1), (0, 0, -1)),
+        *floor_and_walls((-1.9, 1.9), (-1.7, 2.1), floor=FLOOR, friction=0.7),
         Box((-1.43, BED_TOP / 2, -0.76), (0.45, BED_TOP / 2, 0.92), friction=0.8),
         Box((-1.43, 0.40, -1.65), (0.45, 0.40, 0.03)),
         Box((-1.43, 0.28, 0.13), (0.45, 0.28, 0.03)),

@@ -121,23 +121,17 @@ def texture_colours(part: MeshPart, face: np.ndarray, weights: np.ndarray, spaci
     if part.texture is None:
         return rgba
     height, width = part.texture.shape[:2]
+    corners = np.nan_to_num(part.uv)
+    (d, e), area = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0), triangle_areas(part.vertices[part.faces]).sum()
+    covered = 0.5 * np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]).sum() * width * height  # [texels]
+    texels_per_length = np.sqrt(covered / max(area, 1e-30))
+    factor = min(1.0, 1.0 / (max(texels_per_length, 1e-30) * spacing))
     uv = np.nan_to_num(np.einsum("nk,nkd->nd", weights, part.uv[face]))
-    factor = min(1.0, 1.0 / (max(texels_per_length(part), 1e-30) * spacing))
     size = max(1, round(width * factor)), max(1, round(height * factor))
     texture = cv2.resize(part.texture, size, interpolation=cv2.INTER_AREA) if factor < 1.0 else part.texture
     u, v = (uv[:, 0] % 1.0) * size[0] - 0.5, (1.0 - uv[:, 1] % 1.0) * size[1] - 0.5
     channels = [map_coordinates(texture[..., c] / 255.0, (v, u), order=1, mode="grid-wrap") for c in range(4)]
     return rgba * np.stack(channels, axis=1)
-
-
-def texels_per_length(part: MeshPart) -> float:
-    """Texels along a unit of length of the surface, on average."""
-    height, width = part.texture.shape[:2]
-    a, b, c = np.moveaxis(part.vertices[part.faces], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    p, q, r = np.moveaxis(np.nan_to_num(part.uv), 1, 0)
-    d, e = q - p, r - p
-    return float(np.sqrt(np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]).sum() * width * height / max(area, 1e-30)))
 
 
 GAUSSIANS = 60_000

@@ -116,7 +116,11 @@ def build(body: tuple[str, ...] = (RING,), material: str | None = None) -> Scene
 def side_by_side(assets: tuple[str, ...], material: str | None, start: Vec3) -> list[Body]:
     """Bodies in rows from left to right, one row above the other, dropped from the height of `start` or dancing on the
     table; a single body is at `start`."""
-    bodies = [Body(asset, body_material(asset, material, animated_height(asset))) for asset in assets]
+    bodies = []
+    for asset in assets:
+        height = animated_height(asset)
+        made_of = default_material(asset) if material is None else Material.named(material)
+        bodies.append(Body(asset, made_of if height is None else made_of.animated(height)))
     if len(bodies) == 1:
         return [replace(bodies[0], position=start)]
     boxes = [bounds(body.asset, body) for body in bodies]
@@ -142,12 +146,6 @@ def rows_of(widths: Sequence[float]) -> list[list[int]]:
         rows[-1].append(k)
         used += width + GAP
     return rows
-
-
-def body_material(body: str, name: str | None, height: float | None) -> Material:
-    """The named material or else the asset's own; for an animated body of this height [m], adapted to its size."""
-    material = default_material(body) if name is None else Material.named(name)
-    return material if height is None else material.animated(height)
 
 
 def rings(place: Vec3, height: float | None) -> list[Body]:

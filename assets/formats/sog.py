@@ -139,7 +139,12 @@ def read_sog(path: str | Path, report: Report = print) -> Gaussians:
         with open_input(path) as file:
             meta = _meta(path, file.read(META_MAX + 1))
             beside = sum(f.stat().st_size for f in path.parent.iterdir() if f.is_file())
-        return _decode(Images(path, meta, lambda name: _beside(path, name), unpack_bound(beside)), report)
+
+        def load(name: str) -> bytes:
+            with open_input(path.with_name(name)) as file:
+                return file.read()
+
+        return _decode(Images(path, meta, load, unpack_bound(beside)), report)
     with open_input(path) as file:
         try:
             archive = zipfile.ZipFile(file)
@@ -153,11 +158,6 @@ def read_sog(path: str | Path, report: Report = print) -> Gaussians:
         folder = first[: -len("meta.json")]
         images = Images(path, meta, lambda name: read_entry(path, archive, folder + name, bytes_max), bytes_max)
         return _decode(images, report)
-
-
-def _beside(path: Path, name: str) -> bytes:
-    with open_input(path.with_name(name)) as file:
-        return file.read()
 
 
 def _meta(path: Path, text: bytes) -> dict:
@@ -182,8 +182,16 @@ def _decode(images: Images, report: Report) -> Gaussians:
         raise BadInput(f"{path}: holds no Gaussians")
     if meta.get("antialias") is True:
         report(f"{path}: ignored its mark for anti-aliased drawing")
-    means = _means(images, count)
-    quats = _quats(images, count)
+    low_byte, high_byte = (images.rows("means", count, index)[:, :3] for index in (0, 1))
+    stored = _between(images, "means", low_byte + high_byte.astype(np.uint16) * 256, code_max=65535)
+    with np.errstate(over="ignore"):  # non-finite Gaussians are dropped later
+        means = (np.sign(stored) * np.expm1(np.abs(stored))).astype(np.float32)
+    if images.section("quats").get("encoding", "quaternion_packed") != "quaternion_packed":
+        raise BadInput(f"{path}: the encoding of its quaternions is not known")
+    rgba = images.rows("quats", count)
+    largest = rgba[:, 3].astype(np.int64) - LARGEST_MIN
+    quats = join_largest(largest.clip(0), (rgba[:, :3] / 255.0 * 2 - 1) * math.sqrt(0.5))
+    quats[largest < 0] = 0.0  # no rotation: alpha names no component
     scales, color = images.rows("scales", count), images.rows("sh0", count)
     if version == 2:
         log_scales = images.codebook("scales")[scales[:, :3]]
@@ -202,24 +210,6 @@ def _between(images: Images, name: str, codes: np.ndarray, code_max: int = 255) 
     """Codes (N, K) mapped linearly to the K ranges that the meta.json gives."""
     low, high = (images.numbers(name, key, codes.shape[1]) for key in ("mins", "maxs"))
     return low + (high - low) * (codes / float(code_max))
-
-
-def _means(images: Images, count: int) -> np.ndarray:
-    """Positions (N, 3): x = sign(v) (exp |v| - 1) of the stored v."""
-    low, high = (images.rows("means", count, index)[:, :3] for index in (0, 1))
-    stored = _between(images, "means", low + high.astype(np.uint16) * 256, code_max=65535)
-    with np.errstate(over="ignore"):  # non-finite Gaussians are dropped later
-        return (np.sign(stored) * np.expm1(np.abs(stored))).astype(np.float32)
-
-
-def _quats(images: Images, count: int) -> np.ndarray:
-    """Quaternions wxyz (N, 4); zero, which is no rotation, where alpha names no component."""
-    if images.section("quats").get("encoding", "quaternion_packed") != "quaternion_packed":
-        raise BadInput(f"{images.path}: the encoding of its quaternions is not known")
-    rgba = images.rows("quats", count)
-    values = (rgba[:, :3] / 255.0 * 2 - 1) * math.sqrt(0.5)
-    largest = rgba[:, 3].astype(np.int64) - LARGEST_MIN
-    return np.where(largest[:, None] < 0, 0.0, join_largest(largest.clip(0), values))
 
 
 def _palette(images: Images, count: int, version: int) -> np.ndarray:

@@ -109,7 +109,7 @@ class Environment:
         enough = free[: len(kept)] > 0.5 * self.clear_radius
         best = int(enough.argmax()) if enough.any() else len(kept) + int(free[len(kept) :].argmax())
         if free[best] <= 0.0:
-            raise BadInput("there is no free place on its floor as it stands now")
+            raise BadInput("its floor has no free place as the room stands now")
         limit = self.clear_radius if enough.any() else np.inf
         return tuple(places[best].tolist()), float(min(free[best], limit))
 

@@ -132,7 +132,7 @@ class Gaussians:
         if np.abs(length - 1).max() > UNIT_TOLERANCE:
             raise BadInput(f"{where}: the quaternions are not normalised")
         if self.sort not in ("", *SORTS):
-            raise BadInput(f"{where}: {self.sort!r} is no order of blending ({', '.join(SORTS)})")
+            raise BadInput(f"{where}: {self.sort!r} is not an order of blending ({', '.join(SORTS)})")
         if len(self.objects) > OBJECTS_MAX or not all(is_object_name(name) for name in self.objects):
             what = f"at most {OBJECTS_MAX}, each of 1 to {OBJECT_NAME_MAX} printable characters"
             raise BadInput(f"{where}: names of objects are {what}")

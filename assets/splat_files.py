@@ -38,7 +38,7 @@ def kind_of(path: str | Path) -> FileKind:
             return "body"
         if path.suffix.lower() in SPLATS:
             return "either"
-        raise BadInput(f"{path.name}: is none of {', '.join((*SPLATS, *MESHES, '.h5'))}")
+        raise BadInput(f"{path.name}: is not one of {', '.join((*SPLATS, *MESHES, '.h5'))}")
     with open_hdf5(path) as file:
         match file.text("", "format"):
             case "vrgs-asset":
@@ -50,7 +50,7 @@ def kind_of(path: str | Path) -> FileKind:
             case "vrgs-study":
                 raise BadInput(f"{path.name}: is the file of a study: vrgs.py study {path.name} compares its trials")
             case _:
-                raise BadInput(f"{path.name}: is no asset of VR-GS")
+                raise BadInput(f"{path.name}: is not an asset of VR-GS")
 
 
 def is_mesh(path: str | Path) -> bool:

@@ -28,7 +28,7 @@ def length_of(text: str) -> float:
     """Length [m] of a text: "1.2", "1,2 m", "35 cm". Raises BadInput."""
     found = re.fullmatch(r"\s*(\d*[.,]?\d+|\d+[.,])\s*([a-z]*)\s*", text.lower())
     if found is None or found[2] not in UNITS:
-        raise BadInput(f"{text.strip()!r} is no length: type it as 1.2 or 35 cm")
+        raise BadInput(f"{text.strip()!r} is not a length: type it as 1.2 or 35 cm")
     length = float(found[1].replace(",", ".")) * UNITS[found[2]]
     if not LENGTH_RANGE[0] <= length <= LENGTH_RANGE[1]:
         raise BadInput(f"a length of {length:g} m is out of range ({LENGTH_RANGE[0]:g} to {LENGTH_RANGE[1]:g})")

@@ -17,7 +17,11 @@ PLACE_RADIUS, SIZE_TOLERANCE = 0.35, 0.15  # [m], relative
 PLACES = {name: (x, 0.0, z) for name, (*_, (x, z)) in ANIMALS.items()}  # [m]
 FLOWERS = dict(zip(ANIMALS, ("orange", "violet", "pink", "white", "yellow"), strict=True))  # around its place
 STROKED, STROKE_SPEED = 0.3, 0.01  # [s] and [m/s] of an animal that is stroked
-SCRIPT = (("bear", 1 / 0.62), ("rabbit", 1 / 1.45), ("fox", 1.0))  # whom the scripted hands move, and by which factor
+SCRIPT = (
+    ("bear", 1 / 0.62),
+    ("rabbit", 1 / 1.45),
+    ("fox", 1.0),
+)  # animals that the scripted hands place, and their factors of size
 SETTLE_TIME = 1.2  # [s] between the last of these and the first stroke
 
 

@@ -108,7 +108,7 @@ class Images:
         file = files[index]
         strange = set(file) & set("/\\:") or not file.isprintable() or len(file) > NAME_MAX
         if file in ("", ".", "..") or strange:
-            raise BadInput(f"{self.path}: meta.json names {file[:60]!r}, which is no file beside it")
+            raise BadInput(f"{self.path}: meta.json names {file[:60]!r}, which is not the name of a file beside it")
         data, where = self._load(file), f"{self.path}: {file}"
         header = read_image_header(data)
         if header is None or header.format != "webp":
@@ -220,7 +220,9 @@ def _palette(images: Images, count: int, version: int) -> np.ndarray:
     if entry + 1 not in SH_COUNTS[1:] or centroids.shape[1] % PALETTE_WIDTH:
         raise BadInput(f"{images.path}: its SH palette is {centroids.shape[1]} pixels wide, which fits no degree")
     if bands is not None and bands != SH_COUNTS.index(entry + 1):
-        raise BadInput(f"{images.path}: its SH palette has not the {json.dumps(bands)[:20]} bands that meta.json names")
+        raise BadInput(
+            f"{images.path}: its SH palette does not have the {json.dumps(bands)[:20]} bands that meta.json names"
+        )
     palette = centroids[..., :3].reshape(-1, entry, 3)
     size = images.section("shN").get("count", len(palette)) if version == 2 else len(palette)
     labels = images.rows("shN", count, 1).astype(np.int64)

@@ -74,7 +74,7 @@ class Section:
     """The header of a section."""
 
     count: int
-    capacity: int  # Gaussians that there is space for
+    capacity: int  # Gaussians that fit
     bucket_size: int  # Gaussians of a full bucket
     buckets: int
     block: float  # side of the cube that a bucket covers [m]

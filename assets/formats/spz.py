@@ -99,7 +99,7 @@ def _header(path: Path, data: bytes, stored: int) -> Header:
     if not 1 <= version <= 4:
         raise BadInput(f"{path}: version {version} of .spz, read are 1 to 4")
     if sh_degree > SH_DEGREE_MAX or bits > FRACTION_BITS_MAX:
-        raise BadInput(f"{path}: SH degree {sh_degree} with {bits} fractional bits is no .spz")
+        raise BadInput(f"{path}: SH degree {sh_degree} with {bits} fractional bits does not exist in .spz")
     if count == 0:
         raise BadInput(f"{path}: holds no Gaussians")
     header = Header(version, count, sh_degree, bits, flags)

@@ -42,17 +42,6 @@ def test_skinning_is_the_sum_over_joints_and_rest_is_rest():
         assert_allclose(a.skinned(x, M)[i], expected[:3], atol=1e-12)
 
 
-def test_a_rigid_motion_of_the_root_moves_all_alike():
-    a, rng = some_motion(), np.random.default_rng(2)
-    x = rng.normal(size=(5, 3))
-    M = animation.local_matrices((rng.normal(size=(1, 3)), unit(rng.normal(size=(1, 4))), np.ones((1, 3))))[0]
-    assert_allclose(
-        animation.linear_blend_skinning(x, a.joints, a.weights, np.tile(M, (3, 1, 1))),
-        x @ M[:3, :3].T + M[:3, 3],
-        atol=1e-6,
-    )
-
-
 def test_the_motion_begins_at_rest_and_comes_round_without_a_jump():
     a = some_motion()
     step = 1e-6  # [s]

@@ -101,7 +101,7 @@ def test_a_mesh_that_cannot_be_used_is_told_in_one_line(name, content, said, tmp
 def test_an_asset_is_a_body_or_a_room_and_other_files_say_what_they_are(tmp_path):
     for name, kind in {"ring_red": "body", "dining_room": "room"}.items():
         assert kind_of(SHIPPED_FOLDER / f"{name}.h5") == kind
-    for kind, says in {"vrgs-recording": "is a recording", "vrgs-study": "study", "other": "is no asset"}.items():
+    for kind, says in {"vrgs-recording": "is a recording", "vrgs-study": "study", "other": "is not an asset"}.items():
         with h5py.File(tmp_path / "file.h5", "w") as file:
             file.attrs["format"] = kind
         with pytest.raises(BadInput, match=says):

@@ -149,8 +149,3 @@ def test_captured_splats(shared, name, count, degree):
     g = read_ply(shared / "data" / "splats" / f"{name}.ply", report=lines.append)
     assert (len(g), g.sh_degree, lines) == (count, degree, [])
     np.testing.assert_allclose(np.linalg.norm(g.quats, axis=1), 1, atol=1e-6)
-
-
-@pytest.mark.shared
-def test_a_point_cloud_is_no_splat(shared):
-    assert "'f_dc_0'" in refused(shared / "data" / "captures" / "bear" / "sparse_pc.ply")

@@ -150,7 +150,7 @@ def test_metas_that_cannot_be(tmp_path):
     assert "none of its 30" in says("sh0", "codebook", value=[0.5])
     assert "encoding" in says("quats", "encoding", value="euler")
     for name in ("../secret.webp", "/etc/passwd", "a\\b", "..", "", "C:x", "a\nb", "a\0b"):
-        assert "no file beside" in says("quats", "files", value=[name])
+        assert "not the name of a file beside" in says("quats", "files", value=[name])
     assert "names no image" in says("means", "files", value=["means_l.webp"])
     assert "names no image" in says("quats", "files", value="quats.webp")
     assert "bands" in says("shN", "bands", value=2)

@@ -57,7 +57,7 @@ def test_an_unknown_order_in_a_file_is_refused(tmp_path):
     Asset(some_gaussians(9)).save(tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file.attrs["sort"] = "backwards"
-    with pytest.raises(BadInput, match="'backwards' is no order of blending"):
+    with pytest.raises(BadInput, match="'backwards' is not an order of blending"):
         Asset.load(tmp_path / "a.h5")
 
 

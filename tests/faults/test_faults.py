@@ -22,7 +22,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are f
 SHORT = """
 from tests.faults.run import main
 few = ["--writer=asset", "--writer=study", "--writer=preferences"]
-status = main(["full", *few, "--writer=film", "--writer=recording", "--writer=checkpoint", "--writer=spz"])
+more = ["--writer=film", "--writer=recording", "--writer=checkpoint", "--writer=training", "--writer=spz"]
+status = main(["full", *few, *more])
 status |= main(["kill", "--count=1", "--seed=1", *few, "--writer=film", "--writer=long recording"])
 status |= main(["together", "--count=1", *few])
 raise SystemExit(status)
@@ -33,16 +34,12 @@ def test_nothing_is_lost(tmp_path):
     """Some writers, once each, in a program of their own, which forks; `make nightly` takes all of them, often."""
     done = subprocess.run([sys.executable, "-c", SHORT], cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
-    assert done.stdout.count("0 failures") == 15
+    assert done.stdout.count("0 failures") == 16
 
 
 def test_what_a_killed_program_left_goes_with_the_next_writing(tmp_path):
     path, other = tmp_path / "a.txt", tmp_path / ".b.txt.0123abcd.part"
-    parts = [
-        tmp_path / ".a.txt.0123abcd.part",
-        tmp_path / ".a.txt.0123abcd.part.mp4",
-        tmp_path / ".a.txt.89abcdef.part",
-    ]
+    parts = [tmp_path / f".a.txt.{end}" for end in ("0123abcd.part", "0123abcd.part.mp4", "89abcdef.part")]
     for part in (*parts, other):
         part.touch()
     for part in (*parts[:2], other):

@@ -14,8 +14,10 @@ from prepare.train.capture_files import OPENGL_TO_OPENCV
 from prepare.train.object_labels import label_colors, nearest_label
 from prepare.train.photographs import Photograph
 from tests.support import reference_render as reference
+from tests.support.splat_encoders import ply_bytes
 
 SIDE, VIEWS = 64, 12  # [px], number of photographs
+COLOURS = ("red", "green", "blue")
 
 
 def painted_gaussians(count: int = 60) -> Gaussians:
@@ -57,10 +59,8 @@ def write_capture(folder: Path) -> None:
     data = {"w": SIDE, "h": SIDE, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "frames": frames}
     (folder / "transforms.json").write_text(json.dumps({**data, "ply_file_path": "sparse_pc.ply"}))
     points, colors = sparse_points()
-    head = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {a}\n" for a in "xyz")
-    head += "".join(f"property uchar {a}\n" for a in ("red", "green", "blue")) + "end_header\n"
-    rows = [" ".join(map(str, [*p, *c])) for p, c in zip(points.tolist(), colors.tolist(), strict=True)]
-    (folder / "sparse_pc.ply").write_text(head.format(len(points)) + "\n".join(rows) + "\n")
+    columns = dict(zip("xyz", points.T, strict=True)) | dict(zip(COLOURS, colors.T, strict=True))
+    (folder / "sparse_pc.ply").write_bytes(ply_bytes(columns, dict.fromkeys(COLOURS, "uchar")))
 
 
 def sparse_points(count: int = 150) -> tuple[np.ndarray, np.ndarray]:

@@ -37,71 +37,18 @@ class Table:
     rows: list[tuple[str, ...]]
 
 
-class Chart:
-    """A drawing on two linear axes from zero, in the units of the data.
-
-    right, top  values at the right end of the x axis and at the top of the y axis
-    x_ticks     (value, label) along the x axis
-    size        (width, height) [px]
-    """
-
-    LEFT, RIGHT, TOP, BOTTOM = 44, 14, 14, 28  # margins [px]
-
-    def __init__(
-        self,
-        right: float,
-        top: float,
-        *,
-        x_ticks: Sequence[tuple[float, str]] = (),
-        size: tuple[int, int] = (300, 190),
-    ):
-        self._right, self._top, self._size, self._parts = right or 1.0, top or 1.0, size, []
-        self.line([(0, 0), (right, 0)], "#999")
-        for value, label in x_ticks:
-            self._text(self._x(value), size[1] - 8, label, "middle")
-
-    def _x(self, value: float) -> float:
-        return self.LEFT + (self._size[0] - self.LEFT - self.RIGHT) * value / self._right
-
-    def _y(self, value: float) -> float:
-        return self._size[1] - self.BOTTOM - (self._size[1] - self.TOP - self.BOTTOM) * value / self._top
-
-    def _text(self, x: float, y: float, text: str, anchor: str) -> None:
-        self._parts.append(f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>')
-
-    def line(self, points: Sequence[tuple[float, float]], colour: str, *, width: float = 1.0) -> None:
-        """Draw a line through the points (x, y)."""
-        path = " ".join(f"{self._x(x):.1f},{self._y(y):.1f}" for x, y in points)
-        self._parts.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{width:g}"/>')
-
-    def bar(self, start: float, end: float, height: float, colour: str) -> None:
-        """Draw a bar from `start` to `end` along x, as high as `height` along y."""
-        x, y, width, below = self._x(start) + 1, self._y(height), self._x(end) - self._x(start) - 2, self._y(0)
-        size = f'width="{width:.1f}" height="{below - y:.1f}"'
-        self._parts.append(f'<rect x="{x:.1f}" y="{y:.1f}" {size} fill="{colour}"/>')
-
-    def label(self, x: float, y: float, text: str) -> None:
-        """Write a text that begins at a point."""
-        self._text(self._x(x), self._y(y), text, "start")
-
-    def svg(self) -> str:
-        """The drawing as an SVG element."""
-        width, height = self._size
-        return f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}">{"".join(self._parts)}</svg>'
-
-
 @dataclass(frozen=True)
 class Section:
-    """A part of a page under its own heading, in this order: text, facts, pictures and charts by caption, items of a
-    list, a table, and a note.
+    """A part of a page under its own heading, in this order: text, facts, pictures by caption, items of a list, a
+    table, and a note.
 
     facts     (value, label) each, shown large
-    pictures  (H, W, 3) uint8, or a Chart
+    pictures  (H, W, 3) uint8, or the text of an SVG drawing, which is not escaped
     """
 
     title: str
     text: str = ""
-    pictures: dict[str, np.ndarray | Chart] = field(default_factory=dict)
+    pictures: dict[str, np.ndarray | str] = field(default_factory=dict)
     table: Table | None = None
     note: str = ""
     items: tuple[str, ...] = ()
@@ -129,10 +76,9 @@ def html_page(title: str, text: str, sections: Sequence[Section]) -> str:
     return "\n".join([*parts, "</body></html>", ""])
 
 
-def _figure(caption: str, picture: np.ndarray | Chart) -> str:
-    if isinstance(picture, Chart):
-        image = picture.svg()
-    else:
+def _figure(caption: str, picture: np.ndarray | str) -> str:
+    image = picture
+    if not isinstance(picture, str):
         data = base64.b64encode(png_of(picture)).decode("ascii")
         height, width = picture.shape[:2]
         image = f'<img src="data:image/png;base64,{data}" width="{width}" height="{height}" alt="{escape(caption)}">'

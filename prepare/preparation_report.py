@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from assets.asset import Asset
 from core.point_location import TetLocator
-from core.report import Chart, Section, Table, html_page
+from core.report import Section, Table, html_page
 from core.tetmesh import enclosed_volume, face_components, tet_volumes
 from prepare.cage.component_cages import OPAQUE
 from prepare.cage.level_set import (
@@ -158,15 +158,27 @@ def page_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
     )
 
 
-def histogram(dihedral: dict) -> Chart:
-    """Histogram of the dihedral angles, as large as a picture."""
-    heights, width = np.sqrt(dihedral["histogram"]), dihedral["bin"]
-    chart = Chart(180.0, heights.max(), x_ticks=[(d, f"{d}°") for d in range(0, 181, 30)], size=(560, 480))
-    for k in np.flatnonzero(heights):
-        chart.bar(k * width, (k + 1) * width, heights[k], "#5d93a0")
-    chart.line([(dihedral["min"], 0.0), (dihedral["min"], heights.max())], "#c82828", width=2.0)
-    chart.label(dihedral["min"] + 2.0, 0.96 * heights.max(), f"{dihedral['min']:.1f}°")
-    return chart
+def histogram(dihedral: dict) -> str:
+    """Histogram of the dihedral angles, an SVG drawing as large as a picture; the smallest angle in red."""
+    width, height, left, right, top, bottom = 560, 480, 44, 14, 14, 28  # [px] of the drawing and its margins
+    bars, step, least = np.sqrt(dihedral["histogram"]), dihedral["bin"], dihedral["min"]
+    floor, tallest = height - bottom, bars.max() or 1.0
+
+    def x(degrees: float) -> float:
+        return left + (width - left - right) * degrees / 180
+
+    def y(bar: float) -> float:
+        return floor - (floor - top) * bar / tallest
+
+    parts = [f'<polyline points="{x(0):.1f},{floor:.1f} {x(180):.1f},{floor:.1f}" stroke="#999"/>']
+    parts += [f'<text x="{x(d):.1f}" y="{height - 8}" text-anchor="middle">{d}°</text>' for d in range(0, 181, 30)]
+    for k in np.flatnonzero(bars):
+        place = f'x="{x(k * step) + 1:.1f}" y="{y(bars[k]):.1f}" width="{x(step) - x(0) - 2:.1f}"'
+        parts.append(f'<rect {place} height="{floor - y(bars[k]):.1f}" fill="#5d93a0"/>')
+    line = f"{x(least):.1f},{floor:.1f} {x(least):.1f},{top:.1f}"
+    parts.append(f'<polyline points="{line}" stroke="#c82828" stroke-width="2"/>')
+    parts.append(f'<text x="{x(least + 2):.1f}" y="{y(0.96 * bars.max()):.1f}">{least:.1f}°</text>')
+    return f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}">{"".join(parts)}</svg>'
 
 
 def length(metres: float) -> str:

@@ -79,7 +79,7 @@ def test_the_page_stands_alone_and_escapes_what_a_file_says(made):
 
 def test_the_histogram_is_an_svg_with_a_bar_for_each_full_bin(made):
     dihedral = made[2]["dihedral"]
-    root = ET.fromstring(histogram(dihedral).svg())
+    root = ET.fromstring(histogram(dihedral))
     bars = [r for r in root if r.tag == "rect"]
     assert len(bars) == sum(c > 0 for c in dihedral["histogram"])
     heights = np.array([float(r.get("height")) for r in bars])

@@ -59,11 +59,11 @@ class Camera:
         return (local - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
 
 
-def look_at(eye, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
-    """`world_to_camera` (4, 4) of a camera at `eye` that looks at `target`."""
+def look_at(eye, target) -> np.ndarray:
+    """`world_to_camera` (4, 4) of a camera at `eye` that looks at `target`, +y up."""
     ex, ey, ez = (float(c) for c in eye)  # in plain numbers: NumPy takes ten times as long for so few
     forward = _unit([float(t) - e for t, e in zip(target, (ex, ey, ez), strict=True)])
-    right = _cross(forward, [float(c) for c in up])
+    right = _cross(forward, [0.0, 1.0, 0.0])
     if math.hypot(*right) < 1e-6:  # looking straight up or down
         right = _cross(forward, [0.0, 0.0, 1.0])
     right = _unit(right)

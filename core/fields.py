@@ -11,12 +11,12 @@ from taichi.lang import impl
 FIELD_OWNERS = ("core", "sim", "render")  # packages whose objects hold fields, see `destroy_fields`
 
 
-def round_up_capacity(count: int, multiple: int = 64) -> int:
-    """Capacity for `count` elements, a positive multiple of `multiple`: 4, 5, 6 or 7 times a power of two.
+def round_up_capacity(count: int) -> int:
+    """Capacity for `count` elements, a positive multiple of 64: 4, 5, 6 or 7 times a power of two.
 
     At most a quarter is wasted, and scenes of similar size share their compiled kernels.
     """
-    step = max(multiple, 1 << max(0, (max(count, 1) - 1).bit_length() - 3))
+    step = max(64, 1 << max(0, (max(count, 1) - 1).bit_length() - 3))
     return max(step, -(-count // step) * step)
 
 
@@ -39,9 +39,9 @@ class FieldGroup:
         """A field of n-vectors; `column_major` stores neighbours along the first of two axes side by side."""
         return self._place(ti.Vector.field(n, dtype), shape, column_major)
 
-    def matrix(self, *shape: int, n: int = 3, m: int = 3, dtype=ti.f32):
-        """A field of n x m matrices."""
-        return self._place(ti.Matrix.field(n, m, dtype), shape)
+    def matrix(self, *shape: int, n: int = 3, m: int = 3):
+        """A field of n x m matrices, float32."""
+        return self._place(ti.Matrix.field(n, m, ti.f32), shape)
 
     @contextmanager
     def interleaved(self, *shape: int):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from assets.library import find_asset, paper_folder, search_first
 from core.errors import BadInput
@@ -61,9 +60,9 @@ def paper_demo_of(scene: str, options: dict[str, str]) -> PaperDemo:
     raise BadInput(f"the scene {scene} with these options is not a demo of the paper")
 
 
-def use_paper_assets(demo: PaperDemo, folder: Path | None = None) -> None:
+def use_paper_assets(demo: PaperDemo) -> None:
     """Let the demo's scene find its assets at the paper's sizes. Raises BadInput if some are not built yet."""
-    folder = folder or paper_folder(demo.name)
+    folder = paper_folder(demo.name)
     search_first(folder)
     scene = registry.load(demo.scene, **demo.options)
     missing = [body.asset for body in scene.bodies if find_asset(body.asset).parent != folder]

@@ -43,7 +43,7 @@ def lowest_level_plane(
     heights (N,), level (N,) bool: the normal is about vertical, areas (N,). A plane is thin by the range of the
     heights, or by the `size` of the scene if that is larger: the range of a bare floor's is no more than its roughness.
     """
-    low, high = np.percentile(heights, (0.2, 99.8), weights=areas, method="inverted_cdf")
+    low, high = _span(heights, areas)
     step = max(high - low, size, 1e-6) / HEIGHT_BINS
     bins = np.floor((heights - low) / step).clip(-1, HEIGHT_BINS).astype(int) + 1
     weight = np.bincount(bins[level], areas[level], HEIGHT_BINS + 2)
@@ -54,6 +54,13 @@ def lowest_level_plane(
         return float(low), 0.0
     floor = np.percentile(heights[near], 50, weights=areas[near], method="inverted_cdf")
     return float(floor), float(smooth[first] / areas.sum())
+
+
+def _span(heights: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    """The heights (2,) between which all but 0.2 % of the area lies on either side."""
+    if not areas.any():  # discs too small to have an area
+        return np.repeat(heights.min(), 2)
+    return np.percentile(heights, (0.2, 99.8), weights=areas, method="inverted_cdf")
 
 
 def largest_level_plane(heights: np.ndarray, level: np.ndarray, areas: np.ndarray, size: float) -> tuple[float, float]:
@@ -69,7 +76,7 @@ def fit_level_plane(
 
     Least squares are repeated over ever nearer points (N, 3), whose normals (N, 3) lie along the plane's.
     """
-    limit = 0.02 * np.ptp(np.percentile(points @ up, (0.2, 99.8), weights=areas, method="inverted_cdf"))
+    limit = 0.02 * np.ptp(_span(points @ up, areas))
     for _ in range(8):
         off = points @ up - height
         own = (np.abs(off) < limit) & (np.abs(normals @ up) > LEVEL_COS)

@@ -23,48 +23,28 @@ BOX_TOLERANCE = 1e-4  # relative: what float32 leaves of a box
 
 
 @dataclass(frozen=True)
-class SoftBody:
-    """One elastic body at rest, and where it starts.
+class MeshBody:
+    """What soft and rigid bodies have in common; they also have a `material`, a `rotation` and a `position`.
 
     vertices  rest positions in the body frame, already scaled [m], (V, 3)
     tets      (T, 4) with det[x1-x0, x2-x0, x3-x0] > 0;   surface  (S, 3) outward
-    rotation, position, velocity   x = R(rotation) rest + position, all vertices at `velocity` [m/s]
-    sdf       signed distance of the rest shape in the body frame [m], or None
-    pinned    indices of vertices that do not move (inverse mass 0), or None
-    asleep    starts asleep: nothing moves it until something reaches it
-    self_contact   "parts": only disconnected parts of its cage meet, as legs and a skirt. Where a limb meets the trunk,
-                   driven vertices, which nothing stops, would crush what they meet. False: it passes through itself
     """
 
     name: str
     vertices: np.ndarray
     tets: np.ndarray
     surface: np.ndarray
-    material: Material
-    rotation: Quat = IDENTITY
-    position: Vec3 = (0.0, 0.0, 0.0)
-    velocity: Vec3 = (0.0, 0.0, 0.0)
-    sdf: DistanceGrid | None = None
-    pinned: np.ndarray | None = None
-    self_contact: bool | str = True
-    asleep: bool = False
-    rigid: ClassVar[bool] = False
-
-    def of_material(self, material: Material) -> SoftBody:
-        """The same body of another material; BadInput if no body can be of it."""
-        body = replace(self, material=material)
-        body.check_material()
-        return body
-
-    def start_velocities(self) -> np.ndarray:
-        """Initial velocities [m/s], (V, 3) float64."""
-        return np.tile(np.asarray(self.velocity, np.float64), (len(self.vertices), 1))
 
     def start(self) -> np.ndarray:
         """Initial positions in the world [m], (V, 3) float64."""
-        return np.asarray(self.vertices, np.float64) @ matrices_from_quaternions(self.rotation).T + np.asarray(
-            self.position, np.float64
-        )
+        R = matrices_from_quaternions(self.rotation)
+        return np.asarray(self.vertices, np.float64) @ R.T + np.asarray(self.position, np.float64)
+
+    def masses(self) -> np.ndarray:
+        """A quarter of each tet's mass on each of its corners [kg], (V,)."""
+        volumes = tet_volumes(self.vertices, self.tets)
+        quarters = np.repeat(self.material.density * volumes / 4, 4)
+        return np.bincount(np.asarray(self.tets).ravel(), quarters, minlength=len(self.vertices))
 
     def check(self) -> None:
         """Raise BadInput, naming body and defect, for anything the solver cannot simulate."""
@@ -76,7 +56,7 @@ class SoftBody:
                 raise BadInput(f"{self.name}: {what} must be of shape (n, {k}), not {index.shape}")
             if index.min() < 0 or index.max() >= len(x):
                 raise BadInput(f"{self.name}: {what} refer to vertices outside 0..{len(x) - 1}")
-        self.check_material()
+        self.material.check(self.name)
         unused = np.setdiff1d(np.arange(len(x)), tets)
         if len(unused):
             raise BadInput(f"{self.name}: vertex {unused[0]} ({len(unused)} in all) belongs to no tetrahedron")
@@ -91,22 +71,43 @@ class SoftBody:
                 f" (volume {volumes[t]:.3g} m^3, longest edge {longest[t]:.3g} m)"
             )
 
-    def check_material(self) -> None:
-        """Raise BadInput for a material that no body can have."""
-        self.material.check(self.name)
 
-    def masses(self) -> np.ndarray:
-        """A quarter of each tet's mass on each of its corners [kg], (V,)."""
-        volumes = tet_volumes(self.vertices, self.tets)
-        quarters = np.repeat(self.material.density * volumes / 4, 4)
-        return np.bincount(np.asarray(self.tets).ravel(), quarters, minlength=len(self.vertices))
+@dataclass(frozen=True)
+class SoftBody(MeshBody):
+    """One elastic body at rest, and where it starts.
+
+    rotation, position, velocity   x = R(rotation) rest + position, all vertices at `velocity` [m/s]
+    sdf       signed distance of the rest shape in the body frame [m], or None
+    pinned    indices of vertices that do not move (inverse mass 0), or None
+    asleep    starts asleep: nothing moves it until something reaches it
+    self_contact   "parts": only disconnected parts of its cage meet, as legs and a skirt. Where a limb meets the trunk,
+                   driven vertices, which nothing stops, would crush what they meet. False: it passes through itself
+    """
+
+    material: Material
+    rotation: Quat = IDENTITY
+    position: Vec3 = (0.0, 0.0, 0.0)
+    velocity: Vec3 = (0.0, 0.0, 0.0)
+    sdf: DistanceGrid | None = None
+    pinned: np.ndarray | None = None
+    self_contact: bool | str = True
+    asleep: bool = False
+    rigid: ClassVar[bool] = False
+
+    def of_material(self, material: Material) -> SoftBody:
+        """The same body of another material; BadInput if no body can be of it."""
+        material.check(self.name)
+        return replace(self, material=material)
+
+    def start_velocities(self) -> np.ndarray:
+        """Initial velocities [m/s], (V, 3) float64."""
+        return np.tile(np.asarray(self.velocity, np.float64), (len(self.vertices), 1))
 
 
 @dataclass(frozen=True)
-class RigidBody:
-    """Description of one rigid body and its start.
+class RigidBody(MeshBody):
+    """Description of one rigid body and its start; the mass is that of its tets.
 
-    vertices, tets, surface  as of a SoftBody: the cage in the body frame [m]; the mass is that of its tets
     density [kg/m^3], friction coefficient (static; kinetic_friction None: the same), restitution 0..1
     rotation, position       x = R(rotation) rest + position
     velocity [m/s]           of the centre of mass;   angular_velocity [rad/s] in the world
@@ -116,10 +117,6 @@ class RigidBody:
     boxed                    it is exactly the box that its vertices span, about the body frame's origin
     """
 
-    name: str
-    vertices: np.ndarray
-    tets: np.ndarray
-    surface: np.ndarray
     density: float
     friction: float = 0.5
     kinetic_friction: float | None = None
@@ -180,24 +177,11 @@ class RigidBody:
         body.check()
         return body
 
-    def start(self) -> np.ndarray:
-        """Initial positions in the world [m], (V, 3) float64."""
-        return self._mesh().start()
-
     def start_velocities(self) -> np.ndarray:
         """Initial velocities [m/s], (V, 3) float64."""
         R = matrices_from_quaternions((np.asarray(self.rotation, np.float64) / np.linalg.norm(self.rotation))[None])[0]
         r = (np.asarray(self.vertices, np.float64) - self.inertia[1]) @ R.T
         return np.asarray(self.velocity, np.float64) + np.cross(np.asarray(self.angular_velocity, np.float64), r)
-
-    def masses(self) -> np.ndarray:
-        """A quarter of each tet's mass on each of its corners [kg], (V,)."""
-        return self._mesh().masses()
-
-    def _mesh(self) -> SoftBody:
-        return SoftBody(
-            self.name, self.vertices, self.tets, self.surface, self.material, self.rotation, self.position, sdf=self.sdf
-        )
 
     @cached_property
     def inertia(self) -> tuple[float, np.ndarray, np.ndarray]:
@@ -205,14 +189,10 @@ class RigidBody:
         return solid_inertia(self.vertices, self.tets, self.density)
 
     def check(self) -> None:
-        """Raise BadInput, naming body and defect, for anything the solver cannot simulate."""
-        self._mesh().check()
-        kinetic = self.friction if self.kinetic_friction is None else self.kinetic_friction
-        if not (self.density > 0 and 0 <= kinetic <= self.friction and 0 <= self.restitution <= 1):
-            raise BadInput(
-                f"{self.name}: out of range (density > 0, 0 <= kinetic <= static friction, 0 <= restitution <= 1):"
-                f" {self.density}, {kinetic}, {self.friction}, {self.restitution}"
-            )
+        """As of any body; and the restitution must be in range."""
+        super().check()
+        if not 0 <= self.restitution <= 1:
+            raise BadInput(f"{self.name}: restitution must be between 0 and 1, not {self.restitution}")
 
 
 def fills_its_box(vertices: np.ndarray, tets: np.ndarray) -> bool:

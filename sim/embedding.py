@@ -1,7 +1,7 @@
 """Two-level embedding: the cage carries the local tetrahedra, these carry the Gaussians (VR-GS, Sec. 4.3.2)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
@@ -63,20 +63,12 @@ class PackedBody:
     vertex: np.ndarray
     factor: np.ndarray
 
-    @classmethod
-    def empty(cls) -> "PackedBody":
-        """A body without Gaussians."""
-        none, begin = np.zeros(0, np.int32), np.zeros(1, np.int32)
-        return cls(none, none, begin, none.astype(np.float32), none, none.astype(np.float32))
-
     @property
     def slices(self) -> int:
-        """Number of slices."""
         return len(self.target) // SLICE_LANES
 
     @property
     def slots(self) -> int:
-        """Number of slots of all slices."""
         return len(self.vertex) // SLICE_LANES
 
     @property
@@ -85,7 +77,7 @@ class PackedBody:
         return int((self.target >= 0).sum())
 
 
-def two_level_factors(body: EmbeddedBody, rows: slice, locator: TetLocator | None):
+def two_level_factors(body: EmbeddedBody, rows: slice):
     """Vertices (n, 16), weights m (n, 16) and gradients g [1/m] (n, 16, 3) of the local tetrahedra."""
     vertex = body.tets[body.host[rows]]
     W = np.asarray(body.weights[rows], np.float64)
@@ -119,12 +111,11 @@ def one_level_factors(body: EmbeddedBody, rows: slice, locator: TetLocator):
 
 def vertex_factors(body: EmbeddedBody, scheme: str) -> tuple[np.ndarray, ...]:
     """Entries of all Gaussians, equal vertices summed: row (E,) ascending, vertex (E,), factors (E, 4) = (g, m)."""
-    collect, locator = two_level_factors, None
-    if scheme == "one-level":
-        collect, locator = one_level_factors, TetLocator(body.rest, body.tets)
+    locator = TetLocator(body.rest, body.tets) if scheme == "one-level" else None
     found = []
     for start in range(0, len(body.gaussians), CHUNK):
-        vertex, m, g = collect(body, slice(start, start + CHUNK), locator)
+        rows = slice(start, start + CHUNK)
+        vertex, m, g = two_level_factors(body, rows) if locator is None else one_level_factors(body, rows, locator)
         n, width = vertex.shape
         order = np.argsort(vertex, 1, kind="stable")
         order = (order + width * np.arange(n)[:, None]).ravel()
@@ -140,7 +131,8 @@ def pack(body: EmbeddedBody, scheme: str) -> PackedBody:
     """Arrange the entries in slices of SLICE_LANES Gaussians. Raises BadInput if a local tetrahedron is flat."""
     n = len(body.gaussians)
     if n == 0:
-        return PackedBody.empty()
+        none = np.zeros(0, np.int32)
+        return PackedBody(none, none, np.zeros(1, np.int32), none.astype(np.float32), none, none.astype(np.float32))
     row, vertex, factors = vertex_factors(body, scheme)
     # The anchor, the vertex of the largest weight, needs no factors: the weights sum to 1, the gradients to 0.
     starts = np.searchsorted(row, np.arange(n))
@@ -293,7 +285,7 @@ class Embedding:
 
     def packed(self, body: EmbeddedBody) -> PackedBody:
         """A body as this embedding takes it."""
-        return pack(replace(body, vertex_offset=0, gaussian_offset=0), self.scheme)
+        return pack(body, self.scheme)
 
     def _allocate(self, packed: list[PackedBody], headroom: float, reserve: list[PackedBody]) -> None:
         """Allocate fields of rounded sizes, so that scenes of similar size share their compiled kernels."""
@@ -322,32 +314,29 @@ class Embedding:
     def load(self, spans: list[BodySpan], packed: list[PackedBody]) -> None:
         """Carry these copies of `packed` bodies, which fit, and no others; those already in place are not rewritten."""
         bodies = [packed[s.body] for s in spans]
-        slices, slots = (
-            accumulate((b.slices for b in bodies), initial=0),
-            accumulate((b.slots for b in bodies), initial=0),
-        )
-        starts = list(zip(slices, slots, strict=True))
+        slices = accumulate((b.slices for b in bodies), initial=0)
+        starts = list(zip(slices, accumulate((b.slots for b in bodies), initial=0), strict=True))
         for k, (span, body, (first_slice, first_slot)) in enumerate(zip(spans, bodies, starts, strict=False)):
             loaded = k < len(self.spans) and self.spans[k] == span and self._starts[k] == (first_slice, first_slot)
             if body.slices == 0 or loaded:
                 continue
-            self._write_slices(
-                first_slice, first_slot, span.vertex, span.gaussian, span.scale**2,
-                body.target, body.anchor, body.begin, body.rest_cov,
+            self._write(
+                first_slice, first_slot, span.vertex, span.gaussian, span.scale**2, 1.0 / span.scale,
+                body.target, body.anchor, body.begin, body.rest_cov, body.vertex, body.factor,
             )  # fmt: skip
-            self._write_slots(first_slot, span.vertex, 1.0 / span.scale, body.vertex, body.factor)
         if self.fields is not None:
             self._clear(starts[-1][0] * SLICE_LANES)
         self.spans, self._starts = list(spans), starts
         self.count = sum(b.count for b in bodies)
 
     @ti.kernel
-    def _write_slices(
+    def _write(
         self, slice_: ti.i32, slot: ti.i32, first_vertex: ti.i32, first_gaussian: ti.i32, area_scale: ti.f32,
-        target: ti.types.ndarray(ti.i32, 1), anchor: ti.types.ndarray(ti.i32, 1), begin: ti.types.ndarray(ti.i32, 1),
-        rest_cov: ti.types.ndarray(ti.f32, 1),
+        gradient_scale: ti.f32, target: ti.types.ndarray(ti.i32, 1), anchor: ti.types.ndarray(ti.i32, 1),
+        begin: ti.types.ndarray(ti.i32, 1), rest_cov: ti.types.ndarray(ti.f32, 1),
+        vertex: ti.types.ndarray(ti.i32, 1), factor: ti.types.ndarray(ti.f32, 1),
     ):  # fmt: skip
-        """Write slices whose covariances are scaled; indices are offset by the body's first vertex and Gaussian."""
+        """Write slices and slots from these on, scaled. Indices are offset by the body's first vertex and Gaussian."""
         for i in range(target.shape[0]):
             self.target[slice_ * SLICE_LANES + i] = target[i] + first_gaussian if target[i] >= 0 else -1
             self.anchor[slice_ * SLICE_LANES + i] = anchor[i] + first_vertex
@@ -355,16 +344,9 @@ class Embedding:
             self.begin[slice_ + i] = begin[i] + slot
         for i in range(rest_cov.shape[0]):
             self.rest_cov[slice_ * 6 * SLICE_LANES + i] = rest_cov[i] * area_scale
-
-    @ti.kernel
-    def _write_slots(
-        self, slot: ti.i32, first_vertex: ti.i32, gradient_scale: ti.f32,
-        vertex: ti.types.ndarray(ti.i32, 1), factor: ti.types.ndarray(ti.f32, 1),
-    ):  # fmt: skip
-        """Write slots; the gradients [1/m], three of the four factors of a vertex, are scaled."""
         for i in range(vertex.shape[0]):
             self.vertex[slot * SLICE_LANES + i] = vertex[i] + first_vertex
-        for i in range(factor.shape[0]):
+        for i in range(factor.shape[0]):  # three of the four factors of a vertex are its gradient [1/m]
             self.factor[slot * 4 * SLICE_LANES + i] = factor[i] * (gradient_scale if i // SLICE_LANES % 4 < 3 else 1.0)
 
     @ti.kernel

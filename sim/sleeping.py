@@ -157,14 +157,6 @@ class Sleeping:
             ti.atomic_or(self.linked[a], ti.i64(1) << b)
 
     @ti.func
-    def _connects(self, b):
-        """True if what body b is linked with belongs to one island: it is not kinematic."""
-        result = True
-        if ti.static(self.coupled):
-            result = self.rigid.kind[b] != DRIVEN
-        return result
-
-    @ti.func
     def _island(self, b):
         """The bodies of the island of b, as bits."""
         found, done = ti.i64(1) << b, ti.i64(0)
@@ -172,7 +164,10 @@ class Sleeping:
             for c in range(self.state.body_count[None]):
                 if has(found & ~done, c):
                     done |= ti.i64(1) << c
-                    if self._connects(c):
+                    connects = True  # what a body is linked with belongs to one island, unless it is kinematic
+                    if ti.static(self.coupled):
+                        connects = self.rigid.kind[c] != DRIVEN
+                    if connects:
                         found |= self.linked[c]
         return found
 

@@ -188,19 +188,28 @@ class Contacts(Constraint):
 
     @ti.func
     def project_vertex(self, i, dx):
-        """Apply the hands' springs, then move vertex i out of all shapes near it; the constraints come later."""
+        """XPBD: the increment of vertex i, w > 0, with the hands' springs and out of all shapes near it.
+
+        Runs in the integrator's loop over vertices, with dx in registers; state.dx[i] must not be touched.
+        """
         return self.static.project_vertex(i, self.hands.apply_springs(i, dx))
 
     @ti.func
     def evaluate_vertex(self, i):
+        """VBD, at the begin of a substep: evaluate what its sweeps need of the committed state of vertex i."""
         self.static.evaluate_vertex(i)
 
     @ti.func
     def external_displacement(self, i, dx):
+        """VBD, at the begin of a substep: displacement [m] that hands give vertex i if it moves by dx otherwise."""
         return self.hands.apply_springs(i, dx) - dx
 
     @ti.func
     def project_vertex_implicit(self, i, dx, H, A, prior):
+        """VBD: the increment of vertex i, in the metric H [N/m] = A^-1; `prior` [N]: the force of the last sweep.
+
+        Returns it, the force that it took [N], and the contact stiffness [N/m], 0 without contact.
+        """
         return self.static.project_vertex_metric(i, dx, H, A, prior)
 
     @ti.func

@@ -12,7 +12,7 @@ import taichi as ti
 from core.errors import BadInput
 from core.fields import FieldGroup, Upload
 from core.vocabulary import IDENTITY
-from sim.model import Model
+from sim.model import Model, body_index
 from sim.rigid.rigid_bodies import RigidBodies
 from sim.state import State
 
@@ -34,14 +34,14 @@ class KinematicTargets:
 
     def drive(self, body: int, position, rotation=IDENTITY) -> None:
         """Move a kinematic rigid body to x = R(rotation) rest + position."""
-        body = self.model.index(body)
+        body = body_index(body, self.model.bodies)
         if self.rigid is None:
             raise BadInput(f"{self.model.bodies[body].body.name}: only a kinematic rigid body can be driven")
         self.rigid.drive(body, position, rotation)
 
     def drive_vertices(self, body: int, vertices, positions) -> None:
         """Move pinned vertices (n,) of a soft body to positions (n, 3) [m]."""
-        p = self.model.bodies[self.model.index(body)]
+        p = self.model.bodies[body_index(body, self.model.bodies)]
         name, n = p.body.name, len(p.inv_mass)
         vertices, x = np.asarray(vertices, np.int64).reshape(-1), np.asarray(positions, np.float64)
         if len(vertices) and not 0 <= vertices.min() <= vertices.max() < n:
@@ -56,7 +56,7 @@ class KinematicTargets:
 
     def drive_surface(self, body: int) -> None:
         """Move all pinned vertices of a body to what `target` holds when the next frame begins."""
-        body = self.model.index(body)
+        body = body_index(body, self.model.bodies)
         self._mark(self.vertex_begin[body], self.vertex_begin[body + 1])
         self.bodies.add(body)
 

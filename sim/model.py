@@ -238,7 +238,9 @@ class BodyModel:
     def start(self) -> np.ndarray:
         """x, x_lo, v, v_lo at the beginning, (4, V, 3) float32; pinned vertices stand still."""
         v = self.body.start_velocities()
-        return motion(self.body.start(), v if self.body.rigid else np.where(self.inv_mass[:, None] > 0.0, v, 0.0))
+        return motion_in_float32(
+            self.body.start(), v if self.body.rigid else np.where(self.inv_mass[:, None] > 0.0, v, 0.0)
+        )
 
     def with_material(self, material: Material) -> BodyModel:
         return BodyModel(self.body.of_material(material), self.shape)
@@ -256,10 +258,17 @@ class BodyModel:
         return BodyModel(replace(body, position=tuple((np.asarray(body.position) + shift).tolist())), shape)
 
 
-def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+def motion_in_float32(x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """x, x_lo, v, v_lo (4, V, 3) float32 of float64 positions and velocities."""
     high = [np.asarray(a, np.float64).astype(np.float32) for a in (x, v)]
     return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
+
+
+def body_index(i: int, bodies: Sequence) -> int:
+    """Check the index of a body; raise BadInput if there is none."""
+    if not 0 <= i < len(bodies):
+        raise BadInput(f"there is no body {i}, of {len(bodies)}")
+    return int(i)
 
 
 def models_of(bodies: Iterable[SoftBody | RigidBody]) -> list[BodyModel]:
@@ -284,10 +293,6 @@ class Model:
         self.triangle_begin = offsets([len(s.surface) for s in shapes])
         counts = (int(e[-1]) for e in (self.vertex_begin, self.tet_begin, self.triangle_begin))
         self.sizes = Sizes(*counts, bodies=len(self.bodies))
-
-    def index(self, i: int) -> int:
-        """Check the index of a body; raise BadInput if there is none."""
-        return body_index(i, len(self.bodies))
 
     @property
     def rigid(self) -> bool:
@@ -351,10 +356,3 @@ class Model:
             "triangle_count": sizes.triangles,
             "body_count": sizes.bodies,
         }
-
-
-def body_index(i: int, count: int) -> int:
-    """Check index i among `count` bodies; raise BadInput if it is out of range."""
-    if not 0 <= i < count:
-        raise BadInput(f"there is no body {i}, of {count}")
-    return int(i)

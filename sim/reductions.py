@@ -66,7 +66,7 @@ class ReductionBlocks:
 
     @ti.func
     def sum_by_lanes(self, partial: ti.template(), b, k, lane):
-        """`sum` by all lanes together, in the first of them."""
+        """Sum of column k of the blocks' values `partial` over body b, by all lanes together, in the first of them."""
         total, j = 0.0, self.begin[b] + lane
         while j < self.begin[b + 1]:
             total += partial[j, k]
@@ -81,14 +81,6 @@ class ReductionBlocks:
             most = ti.max(most, sign * partial[j, k])
             j += self.lanes
         return max_lanes(most, self.lanes)
-
-    @ti.func
-    def sum(self, partial: ti.template(), b, k):
-        """Sum of column k of the blocks' values `partial` over body b."""
-        total = 0.0
-        for j in range(self.begin[b], self.begin[b + 1]):
-            total += partial[j, k]
-        return total
 
 
 class Observation:
@@ -166,11 +158,11 @@ class Reductions:
 
     def observe(self, held: list[bool]) -> "Observation":
         """Launch the sums over all bodies, unless nothing has changed since the last ones."""
-        if self._observed is None:
-            self._observe()
-            self._observed = Observation(self, held)
-            return self._observed
-        return self._observed.repeated()
+        if self._observed is not None:
+            return self._observed.repeated()
+        self._observe()
+        self._observed = Observation(self, held)
+        return self._observed
 
     def observed(self) -> np.ndarray:
         """Wait for the last sums, and return `total`."""

@@ -12,22 +12,20 @@ import taichi as ti
 from core.errors import BadInput
 from core.fields import destroy_fields
 from core.material import Material
+from core.rotation import best_fit_rotation, quaternions_from_matrices
 from core.vocabulary import BodyState, Hand
-from sim import body_editing
 from sim.bodies import RigidBody, SoftBody
-from sim.body_editing import MovingBodies
 from sim.contact.static_shapes import Shape
 from sim.contacts import Contacts
 from sim.elastic.damping import Damping
 from sim.elastic.energy import Elasticity
-from sim.elastic.substep import Constraint
 from sim.elastic.vbd import VBDSubsteps
 from sim.elastic.vbd_persistent import PersistentVBD
 from sim.elastic.xpbd import PersistentXPBD, XPBDSubsteps
 from sim.hands.grasp import Grasps, GraspState, RigidGrasp
 from sim.hands.rigid_editing import RigidEditing
 from sim.kinematic_targets import KinematicTargets
-from sim.model import BodyModel, Capacity, Model, models_of
+from sim.model import BodyModel, Capacity, Model, body_index, models_of, motion_in_float32
 from sim.recovery import NonFiniteRecovery, Untangling
 from sim.reductions import Observation, ReductionBlocks, Reductions
 from sim.rigid.rigid_bodies import MAX_RIGID_SUBSTEP, RigidBodies, passes_for
@@ -127,7 +125,7 @@ class Solver:
         if self._all_sleep(dt, hands, schedule.total_substeps):
             self._last_schedule = (0, 0.0)
             return
-        self._begin_frame(dt, hands, schedule.total_substeps)
+        self._begin_frame(dt, schedule.total_substeps)
         launch_dt = dt / sum(schedule.launches)
         for launches in schedule.launches:
             self._find_contacts(dt)
@@ -146,12 +144,12 @@ class Solver:
         moved = self._grasped_bodies() | self.kinematic.driven_bodies | self.untangling.occupied
         return self._sleeping.begin_frame(moved, tuple(self.gravity))
 
-    def _begin_frame(self, dt: float, hands: Sequence[Hand], substeps: int) -> None:
+    def _begin_frame(self, dt: float, substeps: int) -> None:
         self.state.begin_frame(dt / substeps, dt / self.collision_passes, substeps, *self.gravity)
         self._last_schedule = (substeps, dt / substeps)
         self.kinematic.begin_frame(dt)
         if self.rigid_bodies is not None:
-            self.rigid_bodies.begin_frame(hands, dt, substeps)
+            self.rigid_bodies.begin_frame()
         if self.untangling.begin_frame(self._grasped_bodies(), self.kinematic.bodies, dt):
             self._restart_contacts(self._grasps())
         self._reductions.forget()
@@ -267,7 +265,8 @@ class Solver:
             "recovered": int(self._recovery.count[None]),
         }
 
-    # Editing. BadInput, and nothing has changed, if a body cannot be simulated or the capacity is exceeded.
+    # Editing: bodies keep their order, their indices stay compact, and those that are not edited keep their motion and
+    # the hands' grasps. BadInput, and nothing has changed, if a body cannot be simulated or the capacity is exceeded.
     # Contacts begin without impulses.
 
     def add(self, body: SoftBody | RigidBody) -> int:
@@ -276,38 +275,78 @@ class Solver:
 
     def add_all(self, bodies: Sequence[SoftBody | RigidBody]) -> int:
         """Add bodies at their start, all or none; return the index of the first."""
-        edited = self._moving_bodies()
+        models, motions, grasps = self._in_motion()
+        first = len(models)
         for body in bodies:
-            edited = body_editing.added(edited, body)
-        return self._change(edited) - len(bodies) + 1
+            models.append(BodyModel.of(body, models))
+        self._change(models, [*motions, *(m.start for m in models[first:])], grasps)
+        return first
 
     def remove(self, i: int) -> None:
         """Remove body i; a hand that holds it opens, and the later bodies move up by one."""
-        self._change(body_editing.removed(self._moving_bodies(), i))
+        models, motions, grasps = self._in_motion()
+        i = body_index(i, models)
+        new_index = [k - (k > i) if k != i else None for k in range(len(models))]
+        del models[i], motions[i]
+        self._change(models, motions, None if grasps is None else grasps.renumbered(new_index))
 
     def duplicate(self, i: int, offset) -> int:
-        """Copy body i as it is deformed and moves now, at `offset` (3,) [m] from it; return the copy's index."""
-        return self._change(body_editing.duplicated(self._moving_bodies(), i, offset))
+        """Copy body i as it is deformed and moves now, at `offset` (3,) [m] from it; return the copy's index.
+
+        The copy starts, if it is reset, with the rotation nearest to its shape.
+        """
+        models, motions, grasps = self._in_motion()
+        i = body_index(i, models)
+        model, (x, v) = models[i], place_and_velocity(motions[i])
+        rest, center = model.shape.vertices, model.shape.center
+        c = np.average(x, axis=0, weights=model.mass)
+        R = best_fit_rotation(((x - c) * model.mass[:, None]).T @ (rest - center))
+        origin = c - R @ center
+        position = origin + np.asarray(offset, np.float64)
+        copy = model.placed(tuple(quaternions_from_matrices(R).tolist()), tuple(position.tolist()))
+        self._change([*models, copy], [*motions, motion_in_float32((x - origin) + position, v)], grasps)
+        return len(models)
 
     def rescale(self, i: int, factor: float, *, about=None) -> None:
         """Make body i `factor` times as large about its centre of mass, or a point; velocities stay.
 
         Mass, stiffness bounds, distance grid and contact samples follow. Hands go on holding the same vertices.
         """
-        self._change(body_editing.rescaled(self._moving_bodies(), i, factor, about=about))
+        models, motions, grasps = self._in_motion()
+        i = body_index(i, models)
+        model, (x, v) = models[i], place_and_velocity(motions[i])
+        if not (np.isfinite(factor) and factor > 0.0):
+            raise BadInput(f"{model.body.name}: cannot be scaled by {factor}")
+        center = np.average(x, axis=0, weights=model.mass) if about is None else np.asarray(about, np.float64)
+        shift = (factor - 1.0) * (x - center)
+        moved = motion_in_float32(x + shift, v)
+        moved[3] = motions[i][3]
+        models[i], motions[i] = model.scaled(factor), moved
+        self._change(models, motions, None if grasps is None else grasps.shifted(i, shift))
 
     def displace(self, i: int, matrix: np.ndarray, *, rest: bool = False) -> None:
         """Move body i as it is by a rigid motion (4, 4) of the world; its velocities turn too, or `rest` ends them."""
-        self._change(body_editing.displaced(self._moving_bodies(), i, matrix, rest=rest))
+        models, motions, grasps = self._in_motion()
+        i, M = body_index(i, models), np.asarray(matrix, np.float64)
+        R = M[:3, :3]
+        if M.shape != (4, 4) or not np.isfinite(M).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-6:
+            raise BadInput(f"{models[i].body.name}: the matrix is not a rigid motion")
+        x, v = place_and_velocity(motions[i])
+        shift = x @ (R.T - np.eye(3)) + M[:3, 3]
+        motions[i] = motion_in_float32(x + shift, 0.0 * v if rest else v @ R.T)
+        self._change(models, motions, None if grasps is None else grasps.shifted(i, shift))
 
     def set_material(self, i: int, material: Material) -> None:
         """Give body i another material."""
-        self._change(body_editing.with_material(self._moving_bodies(), i, material))
+        models, motions, grasps = self._in_motion()
+        i = body_index(i, models)
+        models[i] = models[i].with_material(material)
+        self._change(models, motions, grasps)
 
     def reset(self, body_models: Sequence[BodyModel] | None = None) -> None:
         """Put all bodies, or these instead, back at their starts; grasps and contacts are forgotten."""
-        models = self._model.bodies if body_models is None else tuple(body_models)
-        self._change(MovingBodies(models, tuple(m.start for m in models), None))
+        models = self._model.bodies if body_models is None else body_models
+        self._change(models, [m.start for m in models], None)
         self._sleeping.restore(np.array([m.body.asleep for m in models], bool))
         self.untangling.restore(None)
 
@@ -365,7 +404,7 @@ class Solver:
             integrator = self._made_integrator(name)
             integrator.load(self._model)
             self._all_sleep(WARM_UP_SUBSTEP, (), 1)
-            self._begin_frame(WARM_UP_SUBSTEP, (), 1)
+            self._begin_frame(WARM_UP_SUBSTEP, 1)
             self._find_contacts(WARM_UP_SUBSTEP)
             self.damping.run(WARM_UP_SUBSTEP)
             integrator.run(1)
@@ -390,9 +429,19 @@ class Solver:
         return replace(chosen, substep=min(chosen.substep, longest)) if rigid else chosen
 
     def _made_integrator(self, name: str):
+        """The integrator "xpbd" or "vbd", made at its first use; on CUDA a persistent kernel."""
         if name not in self._integrators:
-            parts = self.state, self.elasticity, self._constraints, self.rigid_bodies, self._blocks
-            self._integrators[name] = make_integrator(name, *parts)
+            parts = self.state, self.elasticity, self._constraints, self.rigid_bodies
+            if ti.cfg.arch != ti.cuda:
+                made = XPBDSubsteps(*parts) if name == "xpbd" else VBDSubsteps(*parts, self._blocks)
+            elif name == "xpbd":
+                made = PersistentXPBD(*parts)
+            else:
+                made = PersistentVBD(*parts, self._blocks, per_multiprocessor=2)
+                if not made.fits():
+                    made.destroy()
+                    made = PersistentVBD(*parts, self._blocks)
+            self._integrators[name] = made
         return self._integrators[name]
 
     def _load(self, model: Model) -> None:
@@ -419,16 +468,16 @@ class Solver:
         self._restart_contacts(grasps)
         self._sleeping.restore(None)
 
-    def _change(self, bodies: MovingBodies) -> int:
-        """Take edited bodies; return the index of the last one."""
-        self._set_bodies(bodies.models, bodies.motion, bodies.grasps)
-        self._rigid_editing.reset(held=True)
-        return len(bodies.models) - 1
+    def _in_motion(self) -> tuple[list[BodyModel], list[np.ndarray], GraspState | None]:
+        """The bodies, the motion of each (x, x_lo, v, v_lo: (4, V, 3) float32), and the hands' grasps."""
+        motions = np.split(self.state.read_motion(), self._model.vertex_begin[1:-1], axis=1)
+        return list(self._model.bodies), motions if self._model.bodies else [], self._grasps()
 
-    def _moving_bodies(self) -> MovingBodies:
-        motion = self.state.read_motion()
-        motions = np.split(motion, self._model.vertex_begin[1:-1], axis=1) if self._model.bodies else ()
-        return MovingBodies(self._model.bodies, tuple(motions), self._grasps())
+    def _change(self, models: Sequence[BodyModel], motions: list[np.ndarray], grasps: GraspState | None) -> None:
+        """Take edited bodies, with the motion of each."""
+        motion = np.concatenate([np.zeros((4, 0, 3), np.float32), *motions], axis=1)
+        self._set_bodies(tuple(models), motion, grasps)
+        self._rigid_editing.reset(held=True)
 
     def _restart_contacts(self, grasps: GraspState | None) -> None:
         """Forget all contacts; hands hold `grasps`, or nothing."""
@@ -459,24 +508,7 @@ class Solver:
         return [b in grasped for b in range(len(self._model.bodies))]
 
 
-def make_integrator(
-    name: str,
-    state: State,
-    elasticity: Elasticity,
-    constraints: list[Constraint],
-    rigid_bodies: RigidBodies | None,
-    blocks: ReductionBlocks,
-):
-    """The integrator "xpbd" or "vbd"; on CUDA a persistent kernel."""
-    on_cuda = ti.cfg.arch == ti.cuda
-    if name == "xpbd":
-        if on_cuda:
-            return PersistentXPBD(state, constraints, rigid_bodies)
-        return XPBDSubsteps(state, elasticity, constraints, rigid_bodies)
-    if not on_cuda:
-        return VBDSubsteps(state, elasticity, constraints, rigid_bodies, blocks)
-    made = PersistentVBD(state, elasticity, constraints, rigid_bodies, blocks, per_multiprocessor=2)
-    if not made.fits():
-        made.destroy()
-        made = PersistentVBD(state, elasticity, constraints, rigid_bodies, blocks)
-    return made
+def place_and_velocity(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [m] and velocities [m/s] of a motion (4, V, 3), in double precision, (V, 3) each."""
+    m = motion.astype(np.float64)
+    return m[0] + m[1], m[2] + m[3]

@@ -153,6 +153,14 @@ class State:
         return b < self.body_count[None] and not self.asleep[b]
 
     @ti.func
+    def each_vertex(self, step: ti.template()):
+        """Take step(i) for each vertex i that is awake. Outermost level of a kernel."""
+        ti.loop_config(serialize=self.serial)
+        for i in range(self.V):
+            if self.awake_vertex(i):
+                step(i)
+
+    @ti.func
     def frictions(self, b):
         """(mu_s, mu_k) of body b; between two bodies the geometric mean counts."""
         return ti.Vector([self.friction[b], self.sliding_friction[b]])

@@ -23,7 +23,7 @@ MAY_IMPORT = {
 
 SIM_PACKAGES = ("elastic", "contact", "rigid", "hands")  # none imports one that stands after it
 # Modules above all four; the other modules of sim/ stand below them
-SIM_TOP = {"contacts", "kinematic_targets", "body_editing", "recovery", "sleeping", "solver"}
+SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why

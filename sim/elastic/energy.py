@@ -60,17 +60,6 @@ def fine_edge(x, dx, x0, dx0):
 
 
 @ti.func
-def fine_stress(e1, e2, e3, B, mu, lam):
-    """F of a tet with these edges (f64), and its P [Pa], computed in double precision and rounded to single.
-
-    In single precision, J - 1 is off by 1e-7: at 1e8 Pa that alone is a force like a vertex's weight, and it flickers.
-    """
-    F = ti.Matrix.cols([e1, e2, e3]) @ B
-    P, _, _ = stress(F, mu, lam)
-    return ti.cast(F, ti.f32), ti.cast(P, ti.f32)
-
-
-@ti.func
 def tet_edges(s: ti.template(), t):
     """Edges of tet t from its first corner in the substep in progress, where the stress is evaluated, f64."""
     a = s.tets[t]
@@ -94,23 +83,15 @@ def energy_density(I1, dJ, mu, lam):
 
 
 @ti.func
-def curvature(W, V, I1, dJ, kappa, mu, lam):
-    """q = sum w |V h|^2 / C^2, C^2 = 2 V Psi, of W = sum w |h|^2 (h = grad Psi).
-
-    q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond, it is rounding noise over a small C.
-    """
-    energy = ti.max(2.0 * energy_density(I1, dJ, mu, lam), 1e-12 * mu)
-    return ti.min(V * W / energy, kappa * ti.max(1.0, I1 * I1 / 9.0))
-
-
-@ti.func
 def shortened_step(F, g: ti.template(), w, W, motion, V, I1, dJ, kappa, mu, lam, dt2):
     """Stable step for a tet far from rest, with its brake: -s of Elasticity.project_tet.
 
+    q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond, it is rounding noise over a small C.
     g: the 4 gradients of its shape functions; W = sum w |h|^2 and motion = sum h . dx of the gradients h of Psi, which
     come as sums because four vectors more would cost the persistent kernel its registers.
     """
-    q = curvature(W, V, I1, dJ, kappa, mu, lam)
+    energy = ti.max(2.0 * energy_density(I1, dJ, mu, lam), 1e-12 * mu)
+    q = ti.min(V * W / energy, kappa * ti.max(1.0, I1 * I1 / 9.0))
     cof, volume_stiffness = cofactor(F), 0.0
     for k in ti.static(range(4)):
         volume_stiffness += V * w[k] * (cof @ g[k]).norm_sqr()
@@ -198,14 +179,19 @@ class Elasticity:
 
     @ti.func
     def write_forces(self, t):
-        """Elastic forces of tet t [N], f_k = -V P B^T e_k, written to its corners' slots."""
+        """Elastic forces of tet t [N], f_k = -V P B^T e_k, written to its corners' slots.
+
+        P is computed in double precision and rounded to single. In single precision, J - 1 is off by 1e-7: at 1e8 Pa
+        that alone is a force like a vertex's weight, and it flickers.
+        """
         s = self.state
         B, b = self.rest_inverse[t], s.body_of_tet[t]
         e1, e2, e3 = tet_edges(s, t)
-        F, P = fine_stress(e1, e2, e3, B, s.mu[b], s.lam[b])
-        if F.determinant() < 0.0:
+        F = ti.Matrix.cols([e1, e2, e3]) @ B
+        P, _, _ = stress(F, s.mu[b], s.lam[b])
+        if ti.cast(F, ti.f32).determinant() < 0.0:
             s.inverted[b] = 1
-        self._write(t, -self.volume[t] * (P @ B.transpose()), 1.0)
+        self._write(t, -self.volume[t] * (ti.cast(P, ti.f32) @ B.transpose()), 1.0)
 
     @ti.func
     def _write(self, t, H, s):
@@ -230,19 +216,12 @@ class Elasticity:
         return self.state.inv_mass[i] * self.add_slots(i, ti.Vector([0.0, 0.0, 0.0]))
 
 
-def slots_of(shape: RestShape) -> tuple[np.ndarray, np.ndarray]:
-    """Slot of each tet corner (T, 4) and first slot of each vertex (V+1,): the slots of a vertex lie together."""
-    corners = shape.tets.ravel()
-    order = np.argsort(corners, kind="stable")
-    slot = np.empty(len(corners), np.int64)
-    slot[order] = np.arange(len(order))
-    begin = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=len(shape.vertices)))])
-    return slot.reshape(-1, 4), begin
-
-
 def corners_of(shape: RestShape) -> np.ndarray:
-    """Corner 4 t + k that writes each slot, (4T,)."""
-    slot, _ = slots_of(shape)
-    corner = np.empty(slot.size, np.int64)
-    corner[slot.ravel()] = np.arange(slot.size)
-    return corner
+    """Corner 4 t + k that writes each slot, (4T,): the slots of a vertex lie together."""
+    return np.argsort(shape.tets.ravel(), kind="stable")
+
+
+def slots_of(shape: RestShape) -> tuple[np.ndarray, np.ndarray]:
+    """Slot of each tet corner (T, 4) and first slot of each vertex, and the end of the last (V+1,)."""
+    counts = np.bincount(shape.tets.ravel(), minlength=len(shape.vertices))
+    return np.argsort(shape.once(corners_of)).reshape(-1, 4), np.concatenate([[0], np.cumsum(counts)])

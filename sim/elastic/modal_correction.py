@@ -99,79 +99,83 @@ class ModalCorrection:
                 if s.awake_body(b):
                     self.fit_rotation(b, 0)
 
-        @ti.func
-        def write_forces():
-            ti.loop_config(serialize=s.serial)
-            for t in range(s.T):
-                if s.awake_tet(t):
-                    self.elasticity.write_forces(t)
-
-        @ti.kernel
-        def set_forces():
-            write_forces()
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    f = ti.Vector([0.0, 0.0, 0.0])
-                    if s.inv_mass[i] > 0.0:
-                        f = self.rotation[s.body_of_vertex[i]].transpose() @ self._residual(i)
-                    self.force[i] = f
-
-        @ti.kernel
-        def set_products():
-            write_forces()
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    self.set_products(i, self._residual(i))
-
         @ti.kernel
         def move():
-            ti.loop_config(serialize=s.serial)
-            for jk in range(blocks.size * MODES):  # as `project`, spread over the modes
-                j, k = jk // MODES, jk % MODES
-                if self._awake(j):
-                    span, total = blocks.span[j], 0.0
-                    for i in range(span[0], span[1]):
-                        total += self.mode[k * s.vertex_count[None] + i].dot(self.force[i])
-                    self.mode_sums[j, k] = total
-            ti.loop_config(serialize=s.serial)
-            for bk in range(MAX_BODIES * MODES):
-                if s.awake_body(bk // MODES):
-                    self.find_amplitude(bk, 0)
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    self.find_step(i)
-            ti.loop_config(serialize=s.serial)
-            for j in range(blocks.size):
-                if self._awake(j):
-                    self.sum_products(j, 0)
+            self._write_tet_forces()
+            s.each_vertex(self._set_force)
+            self._find_amplitudes()
+            s.each_vertex(self.find_step)
+            self._sum_products_of_blocks()
             ti.loop_config(serialize=s.serial)
             for b in range(MAX_BODIES):
                 if s.awake_body(b):
                     self.trial[b] = self.find_trial(b, 0)
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    self.move(i, self.trial[s.body_of_vertex[i]])
+            s.each_vertex(self._move_by_trial)
 
         @ti.kernel
         def shorten():
-            ti.loop_config(serialize=s.serial)
-            for j in range(blocks.size):
-                if self._awake(j):
-                    self.sum_products(j, 0)
+            self._write_tet_forces()
+            s.each_vertex(self._set_products_of_residual)
+            self._sum_products_of_blocks()
             ti.loop_config(serialize=s.serial)
             for b in range(MAX_BODIES):
                 if s.awake_body(b):
                     self.step_scale[b] = self.shortening(b, 0)
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    s.dx[i] += (self.step_scale[s.body_of_vertex[i]] - 1.0) * self.step[i]
+            s.each_vertex(self._shorten)
 
-        return [fit_rotations, set_forces, move, set_products, shorten]
+        return [fit_rotations, move, shorten]
+
+    @ti.func
+    def _write_tet_forces(self):
+        """Outermost level of a kernel, as the next two."""
+        s = self.state
+        ti.loop_config(serialize=s.serial)
+        for t in range(s.T):
+            if s.awake_tet(t):
+                self.elasticity.write_forces(t)
+
+    @ti.func
+    def _sum_products_of_blocks(self):
+        ti.loop_config(serialize=self.state.serial)
+        for j in range(self.blocks.size):
+            if self._awake(j):
+                self.sum_products(j, 0)
+
+    @ti.func
+    def _find_amplitudes(self):
+        """`project` and `find_amplitude`, spread over the modes."""
+        s, blocks = self.state, self.blocks
+        ti.loop_config(serialize=s.serial)
+        for jk in range(blocks.size * MODES):
+            j, k = jk // MODES, jk % MODES
+            if self._awake(j):
+                span, total = blocks.span[j], 0.0
+                for i in range(span[0], span[1]):
+                    total += self.mode[k * s.vertex_count[None] + i].dot(self.force[i])
+                self.mode_sums[j, k] = total
+        ti.loop_config(serialize=s.serial)
+        for bk in range(MAX_BODIES * MODES):
+            if s.awake_body(bk // MODES):
+                self.find_amplitude(bk, 0)
+
+    @ti.func
+    def _set_force(self, i):
+        f = ti.Vector([0.0, 0.0, 0.0])
+        if self.state.inv_mass[i] > 0.0:
+            f = self.rotation[self.state.body_of_vertex[i]].transpose() @ self._residual(i)
+        self.force[i] = f
+
+    @ti.func
+    def _move_by_trial(self, i):
+        self.move(i, self.trial[self.state.body_of_vertex[i]])
+
+    @ti.func
+    def _set_products_of_residual(self, i):
+        self.set_products(i, self._residual(i))
+
+    @ti.func
+    def _shorten(self, i):
+        self.state.dx[i] += (self.step_scale[self.state.body_of_vertex[i]] - 1.0) * self.step[i]
 
     @ti.func
     def _awake(self, j):

@@ -18,8 +18,8 @@ import taichi as ti
 
 from core.errors import BadInput
 from core.fields import FieldGroup, Upload
-from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1, row, shortened_step, stress
-from sim.elastic.vbd import MAX_COLORS, colors_of, tet_terms
+from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1, Elasticity, row, shortened_step, stress
+from sim.elastic.vbd import MAX_COLORS, body_colors, tet_terms
 from sim.model import MAX_BODIES, Model, RestShape, stacked
 from sim.state import State
 
@@ -47,9 +47,9 @@ class Patches:
     evaluated, and dx [m]; vec4, so that one load fetches each
     """
 
-    def __init__(self, state: State, blocks: int):
+    def __init__(self, state: State, elasticity: Elasticity, blocks: int):
         """For this many blocks that run at once."""
-        self.state, self.blocks, self._last = state, blocks, TablesOf()
+        self.state, self.elasticity, self.blocks, self._last = state, elasticity, blocks, TablesOf()
         N, V = 4 * state.T, state.V
         self.max_count = max(V, blocks)
         g = self._group = FieldGroup()
@@ -62,11 +62,10 @@ class Patches:
         self.slots = [g.scalar(N, dtype=ti.i32) for _ in range(2)]
         self.gradient = [g.scalar(N) for _ in range(9)]
         self.tet = g.scalar(N, dtype=ti.i32)
-        self.kappa = g.scalar(state.T)  # 1/s^2
         self.published = g.vector(2, V, 3, n=4)
         g.build()
         patches = [self.local, self.slot_begin, self.slot_end, self.local_begin, self.own_end, self.tet_begin]
-        self._upload = Upload([*patches, self.count, *self.corners, *self.slots, *self.gradient, self.tet, self.kappa])
+        self._upload = Upload([*patches, self.count, *self.corners, *self.slots, *self.gradient, self.tet])
 
     def load(self, model: Model) -> None:
         """Take the rest shapes of these bodies."""
@@ -79,10 +78,9 @@ class Patches:
         slot = np.where(t["slot"] < 0, NO_SLOT, t["slot"])
         corners = corner[:, 0] | corner[:, 1] << 16, corner[:, 2] | corner[:, 3] << 16
         slots = slot[:, 0] | slot[:, 1] << SLOT_BITS | body << (2 * SLOT_BITS), slot[:, 2] | slot[:, 3] << SLOT_BITS
-        kappa = stacked([p.kappa for p in model.bodies])
         words = (w.astype(np.uint32).view(np.int32) for w in (*corners, *slots))
         local = t["local"], t["slot_begin"], t["slot_end"], t["local_begin"], t["own_end"], t["tet_begin"]
-        self._upload([*local, [len(t["own_end"])], *words, *gradients.T, tets, kappa])
+        self._upload([*local, [len(t["own_end"])], *words, *gradients.T, tets])
 
     @ti.func
     def publish(self, i, x, v, dx, parity):
@@ -143,7 +141,7 @@ class Patches:
                 dx = self.published[parity, v[c], 2]
                 W += w[c] * h[c].norm_sqr()
                 motion += h[c].dot(ti.Vector([dx.x, dx.y, dx.z]))
-            step = shortened_step(F, g, w, W, motion, V, I1, dJ, self.kappa[t], mu, lam, dt2)
+            step = shortened_step(F, g, w, W, motion, V, I1, dJ, self.elasticity.kappa[t], mu, lam, dt2)
         self._put(packed & NO_SLOT, -step * h0, shared)
         self._put((packed >> SLOT_BITS) & NO_SLOT, -step * h1, shared)
         self._put(packed_2 & NO_SLOT, -step * h2, shared)
@@ -219,7 +217,7 @@ def divide(tets: np.ndarray, order: np.ndarray, blocks: int) -> dict[str, np.nda
 def _divided(tets, order, begin) -> dict[str, np.ndarray] | None:
     """The tables of `divide` for these ranges of `order`; None if a patch would be too large."""
     n = len(order)
-    corner_place = inverse_of(order)[tets]  # (T, 4)
+    corner_place = np.argsort(order)[tets]  # (T, 4)
     ends = np.r_[0, np.cumsum(np.bincount(corner_place.ravel(), minlength=n))]
     if np.diff(ends[begin]).max(initial=0) > MAX_SLOTS:
         return None
@@ -238,17 +236,10 @@ def _divided(tets, order, begin) -> dict[str, np.ndarray] | None:
     slot_begin, slot_end = (np.zeros(len(tables["local"]), np.int64) for _ in range(2))
     start, mine = ends[begin[patch_of]], tables["mine"]
     slot_begin[mine], slot_end[mine] = ends[:-1] - start, ends[1:] - start
-    rank = inverse_of(np.argsort(corner_place.ravel(), kind="stable"))  # of each corner, by the place of its vertex
+    rank = np.argsort(np.argsort(corner_place.ravel(), kind="stable"))  # of each corner, by the place of its vertex
     slot = np.where(patch[t] == owner[:, None], rank.reshape(-1, 4)[t] - ends[begin[owner]][:, None], -1)
     tet_begin = np.searchsorted(owner, np.arange(len(begin)))
     return {**tables, "slot_begin": slot_begin, "slot_end": slot_end, "tet_begin": tet_begin, "tet": t, "slot": slot}
-
-
-def inverse_of(order: np.ndarray) -> np.ndarray:
-    """Place of each element in an order (n,)."""
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    return place
 
 
 def local_tables(order, begin, owner, corner_place, rank, most: int) -> dict[str, np.ndarray] | None:
@@ -264,7 +255,7 @@ def local_tables(order, begin, owner, corner_place, rank, most: int) -> dict[str
     patch_of = np.repeat(np.arange(patches), np.diff(begin))
     own = patch_of[corner_place] == owner[:, None]
     outside, index = np.unique((owner[:, None] * n + rank[corner_place])[~own], return_inverse=True)
-    others_patch, others = outside // n, inverse_of(rank)[outside % n]
+    others_patch, others = outside // n, np.argsort(rank)[outside % n]
     others_begin = np.searchsorted(others_patch, np.arange(patches + 1))
     sizes = np.diff(begin) + np.diff(others_begin)
     if sizes.max(initial=0) > most:
@@ -339,12 +330,9 @@ class ColorPatches:
         """Take the rest shapes of these bodies."""
         orders = [s.root.once(compact_order) for s in model.shapes]
         order = stacked([o + b for o, b in zip(orders, model.vertex_begin, strict=False)])
-        colors = [p.shape.root.once(colors_of, tuple((p.inv_mass == 0.0).tolist())) for p in model.bodies]
-        color = stacked(colors)
-        if color.max(initial=-1) >= MAX_COLORS:
-            raise BadInput(f"a vertex has too many neighbours: {color.max() + 1} colours, the limit is {MAX_COLORS}")
+        colors = body_colors(model)
         begin, sizes = model.vertex_begin, (self.blocks, self.max_count)
-        t = self._last.get(orders + colors, lambda: divide_by_color(model.tets, order, color, begin, *sizes))
+        t = self._last.get(orders + colors, lambda: divide_by_color(model.tets, order, stacked(colors), begin, *sizes))
         if t is not self._tables:
             c = t["corners"]
             words = c[:, 0] | c[:, 1] << INDEX_BITS | t["corner"] << (2 * INDEX_BITS), c[:, 2] | c[:, 3] << INDEX_BITS
@@ -490,12 +478,12 @@ def _divided_by_color(tets: np.ndarray, order: np.ndarray, color: np.ndarray, be
     n, blocks = len(order), len(begin) - 1
     patch_at = np.repeat(np.arange(blocks), np.diff(begin))
     order = order[np.lexsort((color[order], patch_at))]
-    corner_place = inverse_of(order)[tets]
+    corner_place = np.argsort(order)[tets]
     by_vertex = np.argsort(corner_place.ravel(), kind="stable")  # slots: corners in the order of their vertices
     tet, corner = by_vertex // 4, by_vertex % 4
     ends = np.r_[0, np.cumsum(np.bincount(corner_place.ravel(), minlength=n))]
     owner = patch_at[corner_place[tet, corner]]
-    by_color = inverse_of(np.argsort(color[order], kind="stable"))
+    by_color = np.argsort(np.argsort(color[order], kind="stable"))
     tables = local_tables(order, begin, owner, corner_place[tet], by_color, PLACES - 1)
     if tables is None:
         return None

@@ -17,23 +17,22 @@ The integrator that runs the substep is handed to the phases, because they depen
 
 import ctypes
 import sys
-from functools import cache
 
 import taichi as ti
 
 from core.fields import FieldGroup
-from core.lanes import from_lane, lane_count, sum_lanes
+from core.lanes import lane_count, sum_lanes
 from sim.model import Model
 from sim.state import State
 
 
 @ti.data_oriented
 class Constraint:
-    """Base class of the constraints that the integrators solve: contacts (sim/contact) and rigid bodies (sim/rigid).
+    """Base class of what the integrators solve beside elasticity: contacts (sim/contacts.py), rigid bodies (sim/rigid).
 
     This one does nothing. Attributes of Python objects are compile-time constants of the device functions.
 
-    has_vertex   the vertex functions do something
+    has_vertex   it has the functions of one vertex as well, see Contacts
     has_pairs    the phases do something
     phase_sizes  capacity of each phase, in elements
     max_groups   capacity in groups, which are solved in each later phase, by a warp each
@@ -50,9 +49,6 @@ class Constraint:
     def load(self, model: Model) -> None:
         """Take other bodies into the same fields and kernels; contacts and grasps are forgotten."""
 
-    def begin_frame(self, hands: list, dt: float, substeps: int) -> None:
-        """Prepare a frame of dt [s] that ends with these hands; 0 substeps: only grasps are decided."""
-
     def detect(self) -> None:
         """Search for contacts of the next state.detect_dt [s], `collision_passes` times a frame, from x and v."""
 
@@ -61,31 +57,6 @@ class Constraint:
 
     def warm_up(self) -> None:
         """Compile kernels that a frame may need later, by calls that change nothing."""
-
-    @ti.func
-    def project_vertex(self, i, dx):
-        """XPBD: the corrected increment of vertex i, whose w > 0.
-
-        Runs in the integrator's loop over vertices, with dx in registers; state.dx[i] must not be touched.
-        """
-        return dx
-
-    @ti.func
-    def evaluate_vertex(self, i):
-        """VBD, at the begin of a substep: evaluate what its sweeps need of the committed state of vertex i."""
-
-    @ti.func
-    def external_displacement(self, i, dx):
-        """VBD, at the begin of a substep: displacement [m] that hands give vertex i if it moves by dx otherwise."""
-        return ti.Vector([0.0, 0.0, 0.0])
-
-    @ti.func
-    def project_vertex_implicit(self, i, dx, H, A, prior):
-        """VBD: as `project_vertex` in the metric H [N/m] = A^-1, `prior` [N] being the force of the last sweep.
-
-        Returns the increment, the force that it took [N], and the contact stiffness [N/m], 0 without contact.
-        """
-        return dx, ti.Vector([0.0, 0.0, 0.0]), 0.0
 
     @ti.func
     def evaluate(self, k):
@@ -241,11 +212,6 @@ class PersistentGrid:
         """Sum of a float over each group of `lanes` neighbouring threads, in the first of them."""
         return sum_lanes(value, ti.static(lanes if self.on_cuda else 1))
 
-    @ti.func
-    def broadcast(self, value):
-        """The float of a warp's first thread, in all of its threads."""
-        return from_lane(value, 0, ti.static(self.warp))
-
     def destroy(self) -> None:
         self._group.destroy()
 
@@ -352,15 +318,14 @@ def own_vertices(integrator: ti.template(), thread):
     return begin + thread % size, ti.min(begin + length, count)
 
 
-def phase_kernels(s: State, integrator, c: Constraint, passes=(ALL_PASSES,)) -> list[list]:
-    """The phases of constraint c as kernels of their own: a list for each of `passes`, the most after the first phase.
+def phase_kernels(s: State, integrator, c: Constraint) -> tuple[list, list]:
+    """The phases of constraint c as kernels of their own, and one that releases its groups, if it has any.
 
     With rigid bodies a single kernel for a CPU would take minutes to compile.
     """
     lanes = lane_count()
 
-    @cache
-    def kernel(phase: int, last: bool):
+    def phase_kernel(phase: int):
         @ti.kernel
         def run():
             if ti.static(phase > 0 and c.max_groups > 0):
@@ -368,31 +333,19 @@ def phase_kernels(s: State, integrator, c: Constraint, passes=(ALL_PASSES,)) -> 
                 for k in range(c.max_groups * lanes):
                     if k // lanes < c.group_count():
                         c.solve_group(phase, k // lanes, k % lanes)
-                        if ti.static(last):
-                            c.release_group(k // lanes)
             ti.loop_config(serialize=s.serial)
             for k in range(c.phase_sizes[phase]):
                 c.solve_phase(integrator, ti.static(phase > 0), phase, k)
 
         return run
 
-    lists = []
-    for most in passes:
-        end = min(1 + most, len(c.phase_sizes))
-        lists.append([kernel(phase, phase == end - 1) for phase in range(end)])
-    return lists
-
-
-def evaluation_kernel(s: State, c: Constraint):
-    """Kernel that evaluates all elements of constraint c."""
-
     @ti.kernel
-    def evaluation():
-        ti.loop_config(serialize=s.serial)
-        for k in range(c.phase_sizes[0]):
-            c.evaluate(k)
+    def release():
+        for g in range(c.max_groups):
+            if g < c.group_count():
+                c.release_group(g)
 
-    return evaluation
+    return [phase_kernel(phase) for phase in range(len(c.phase_sizes))], [release] if c.max_groups > 0 else []
 
 
 def block_size(s: State, n: int) -> int | None:

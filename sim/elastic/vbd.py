@@ -27,7 +27,7 @@ from core.errors import BadInput
 from core.fields import FieldGroup, Upload, round_up_capacity
 from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
-from sim.elastic.substep import ALL_PASSES, Constraint, block_size, commit, phase_kernels
+from sim.elastic.substep import Constraint, block_size, commit, phase_kernels
 from sim.model import Model, RestShape, stacked
 from sim.reductions import ReductionBlocks
 from sim.state import State
@@ -187,12 +187,7 @@ class VBDSubsteps:
     warm_started, iterations = True, SWEEPS["vbd"]
 
     def __init__(
-        self,
-        state: State,
-        elasticity: Elasticity,
-        constraints: list[Constraint],
-        rigid,
-        blocks: ReductionBlocks,
+        self, state: State, elasticity: Elasticity, constraints: list[Constraint], rigid, blocks: ReductionBlocks
     ):
         self.state, self.elasticity = state, elasticity
         self.descent = d = VertexDescent(state, constraints, rigid)
@@ -210,10 +205,7 @@ class VBDSubsteps:
 
     def load(self, model: Model) -> None:
         """Take the colours and modes of these bodies."""
-        colors = [p.shape.root.once(colors_of, tuple((p.inv_mass == 0.0).tolist())) for p in model.bodies]
-        order, begin = color_ranges(stacked(colors))
-        if len(begin) > MAX_COLORS + 1:
-            raise BadInput(f"a vertex has too many neighbours: {len(begin) - 1} colours, the limit is {MAX_COLORS}")
+        order, begin = color_ranges(stacked(body_colors(model)))
         slots = [p.shape.root.once(corners_of) for p in model.bodies]
         corners = stacked([c + o for c, o in zip(slots, 4 * model.tet_begin, strict=False)])
         self._upload([order, corners, np.r_[begin, np.full(MAX_COLORS + 1 - len(begin), begin[-1])]])
@@ -230,11 +222,7 @@ class VBDSubsteps:
 
     def _record(self, substeps: int):
         if self.kernels is None:
-            phases = [[self._phases()] if self.in_pairs else []] * 2  # of all sweeps but the last, and of that
-            if self.descent.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
-                rigid = [phase_kernels(self.state, self, c, (EARLY_PASSES, ALL_PASSES)) for c in self.in_pairs]
-                phases = [[k for kernels in rigid for k in kernels[n]] + phases[n] for n in range(2)]
-            self.kernels = self._begin(), self._sweep(), phases, self.modal.kernels(), self._end()
+            self.kernels = self._begin(), self._sweep(), self._phases(), self.modal.kernels(), self._end()
         begin, sweep, phases, modal, end = self.kernels
         colors = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
         graph = ti.graph.GraphBuilder()
@@ -307,22 +295,26 @@ class VBDSubsteps:
 
         return sweep
 
-    def _phases(self):
-        s, in_pairs = self.state, self.in_pairs
+    def _phases(self) -> tuple[list, list]:
+        """Kernels of the constraints, for all sweeps but the last and for that."""
+        s, in_pairs, has_rigid = self.state, self.in_pairs, self.descent.has_rigid
 
         @ti.kernel
-        def phases():
-            for c in ti.static([] if self.descent.has_rigid else in_pairs):
+        def push():
+            for c in ti.static([] if has_rigid else in_pairs):
                 for phase in ti.static(range(len(c.phase_sizes))):
                     ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
                     for k in range(c.phase_sizes[phase]):
                         c.solve_phase(self, ti.static(phase > 0), phase, k)
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
-                if s.awake_vertex(i):
-                    self.descent.push(i)
+            s.each_vertex(self.descent.push)
 
-        return phases
+        early, last = [], []
+        for c in in_pairs if has_rigid else []:  # several kernels, as in sim/elastic/xpbd.py
+            phases, release = phase_kernels(s, self, c)
+            early += phases[: 1 + EARLY_PASSES] + release
+            last += phases + release
+        end = [push] if in_pairs else []
+        return early + end, last + end
 
     def _end(self):
         s = self.state
@@ -397,6 +389,15 @@ def color_ranges(color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(color, kind="stable")
     order = order[color[order] >= 0]
     return order, np.concatenate([[0], np.cumsum(np.bincount(color[color >= 0], minlength=1))])
+
+
+def body_colors(model: Model) -> list[np.ndarray]:
+    """Colours of each body's vertices, the same arrays at any size. Raises BadInput beyond MAX_COLORS."""
+    colors = [p.shape.root.once(colors_of, tuple((p.inv_mass == 0.0).tolist())) for p in model.bodies]
+    count = 1 + max((int(c.max(initial=-1)) for c in colors), default=-1)
+    if count > MAX_COLORS:
+        raise BadInput(f"a vertex has too many neighbours: {count} colours, the limit is {MAX_COLORS}")
+    return colors
 
 
 def colors_of(shape: RestShape, pinned: tuple) -> np.ndarray:

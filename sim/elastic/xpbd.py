@@ -15,7 +15,6 @@ from sim.elastic.substep import (
     block_size,
     commit,
     evaluate_candidates,
-    evaluation_kernel,
     own_vertices,
     phase_kernels,
     solve_phases,
@@ -117,6 +116,10 @@ class XPBDSubsteps:
         @ti.kernel
         def begin():
             self._begin()
+            for c in ti.static(in_pairs):
+                ti.loop_config(serialize=s.serial)
+                for k in range(c.phase_sizes[0]):
+                    c.evaluate(k)
 
         @ti.kernel
         def end():
@@ -124,10 +127,8 @@ class XPBDSubsteps:
 
         if not self.has_rigid:
             return [substep]
-        kernels = [begin]
-        for c in in_pairs:
-            kernels += [evaluation_kernel(s, c), *phase_kernels(s, self, c)[0]]
-        return [*kernels, end]
+        phases = [phase_kernels(s, self, c) for c in in_pairs]
+        return [begin, *(k for kernels, release in phases for k in (*kernels, *release)), end]
 
 
 @ti.data_oriented
@@ -141,10 +142,10 @@ class PersistentXPBD:
     max_substeps = 128  # behind one call: damping acts between calls
     warm_started, iterations = False, SWEEPS["xpbd"]
 
-    def __init__(self, state: State, constraints: list[Constraint], rigid):
+    def __init__(self, state: State, elasticity: Elasticity, constraints: list[Constraint], rigid):
         self.state, self.grid = state, PersistentGrid(SHARED_WORDS)
         self.rigid, self.has_rigid = rigid, rigid is not None
-        self.patches = Patches(state, self.grid.blocks)
+        self.patches = Patches(state, elasticity, self.grid.blocks)
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
         self.effective_inv_mass = state.inv_mass

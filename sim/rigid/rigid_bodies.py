@@ -128,7 +128,7 @@ class RigidBodies(Constraint):
         q = q / np.linalg.norm(q)
         self.targets[b] = (p + matrices_from_quaternions(q) @ body.inertia[1], q)
 
-    def begin_frame(self, hands: list, dt: float, substeps: int) -> None:
+    def begin_frame(self) -> None:
         """Start towards the targets of this frame; driven bodies without a target stand still."""
         driven = len(self.targets) > 0
         if driven:  # else without an array from the host, for which the device would be waited for

@@ -334,13 +334,6 @@ def test_grids_fill_gaps_that_others_left(ti_cpu):
         grids.check_capacity([small, large, other])
 
 
-def test_a_body_model_shares_the_shape_of_an_equal_mesh():
-    a = BodyModel.of(CUBE, [])
-    assert BodyModel.of(replace(CUBE, vertices=CUBE.vertices.copy()), [a]).shape is a.shape
-    assert BodyModel.of(FINE, [a]).shape is not a.shape
-    assert_allclose(a.shape.scaled(2.0).vertex_volumes, 8 * a.shape.vertex_volumes)
-
-
 def test_a_scaled_shape_has_what_follows_from_its_own_vertices():
     scaled = BodyModel.of(FINE, []).shape.scaled(1.7)
     measured = RestShape(scaled.vertices, scaled.tets, scaled.surface, None)

@@ -23,7 +23,6 @@ from sim.elastic.patches import (
     compact_order,
     divide,
     divide_by_color,
-    patch_begins,
 )
 from sim.elastic.vbd import VBDSubsteps, color_vertices
 from sim.model import BodyModel, Model, RestShape
@@ -80,7 +79,7 @@ def test_the_sums_are_those_of_the_two_loops():
     """Slightly deformed, stretched, and inverted."""
     given = bodies(2e4, 5e4)
     solver = Solver(given, contacts=False)
-    patches = Patches(solver.state, 3)
+    patches = Patches(solver.state, solver.elasticity, 3)
     patches.load(Model([BodyModel.of(b, []) for b in given]))
     rng = np.random.default_rng(1)
     start = np.concatenate([b.start() for b in given])
@@ -163,12 +162,6 @@ def test_a_large_mesh_gets_several_patches_a_block():
     assert len(t["own_end"]) > 4 and np.diff(t["local_begin"]).max() < PLACES
     with pytest.raises(BadInput, match="1331 vertices"):
         divide_by_color(tets, order, color, [0, len(x)], 4, 4)
-
-
-def test_patches_are_about_equal_and_of_one_body_each():
-    assert patch_begins(np.array([0, 90, 100]), 10).tolist() == [0, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100]
-    assert np.diff(patch_begins(np.array([0, 300, 333, 1000]), 12)).max() <= 100
-    assert patch_begins(np.array([0, 5, 9, 12]), 2) is None
 
 
 def test_the_sums_are_those_of_the_plain_loops():

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("ti_cpu")
 
 def xpbd_forms(s: Solver):
     pairs = [c for c in (s.contacts, s.rigid_bodies) if c is not None]
-    yield PersistentXPBD(s.state, pairs, s.rigid_bodies)
+    yield PersistentXPBD(s.state, s.elasticity, pairs, s.rigid_bodies)
     yield XPBDSubsteps(s.state, s.elasticity, pairs, s.rigid_bodies)
 
 
@@ -106,10 +106,11 @@ def test_persistent_kernels_load_and_run_without_bodies():
     x, tets, surface = box((0.1, 0.1, 0.1), (1, 1, 1))
     solver = Solver([SoftBody("block", x, tets, surface, Material(1e5, 0.3, 1000.0))], contacts=False)
     vbd = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks)
-    for form in (vbd, PersistentXPBD(solver.state, [], None)):
+    for form in (vbd, PersistentXPBD(solver.state, solver.elasticity, [], None)):
         for bodies in ([], [solver.body_models[0]], []):
             model = Model(bodies)
             solver.state.load(model)
+            solver.elasticity.load(model)
             form.load(model)
             form.run(1)
         assert form.patches.own_end.to_numpy()[: form.patches.count[None]].max(initial=0) == 0

@@ -160,10 +160,7 @@ def test_a_plate_carries_a_soft_cube_by_friction(place):
 def test_rigid_bodies_sleep_to_the_bit_and_wake_for_a_drive_and_for_a_hit(place):
     solver, where = started(place)
     run(solver, 3.0)  # the ball comes to rest later
-    bricks, plate = (
-        list(range(*where["tower"].indices(99)))[1:4],
-        where["plate"].start,
-    )
+    bricks, plate = list(range(*where["tower"].indices(99)))[1:4], where["plate"].start
     resting = [*bricks, plate, plate + 1]
     before = solver.snapshot()
     assert before["asleep"][resting].all() and not before["asleep"].all()

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 from numpy.testing import assert_allclose
 
 from bench.physics import BAR, LEFT, SURFACE, TETS, box, fem_stiffness
@@ -12,18 +14,20 @@ from sim.model import RestShape
 from sim.time_step import lame
 
 
+def weighted(U, mass):
+    """Modes as columns (3 V, MODES), orthonormal if they are so in the masses."""
+    return (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
+
+
 def test_the_modes_are_the_rigid_ones_and_the_softest():
     """Orthonormal in the masses; no softer than linear FEM, and the first elastic ones at most 20% faster."""
-    import scipy.sparse as sp
-    import scipy.sparse.linalg as spla
-
     material = Material(1e7, 0.3, 1000.0)
     mass = SoftBody("bar", BAR, TETS, SURFACE, material).masses()
     mu, lam = lame(material)
     for movable in (np.ones(len(BAR), bool), ~np.isin(np.arange(len(BAR)), LEFT)):
         U, squares = softest_modes(lattice_motions(BAR, TETS, mass, movable), mu, lam - mu)
         assert U.shape == (len(BAR), MODES, 3) and (U[~movable] == 0).all()
-        flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
+        flat = weighted(U, mass)
         assert_allclose(flat.T @ flat, np.eye(MODES), atol=1e-5)
         free = np.repeat(movable, 3)
         K = fem_stiffness(BAR, TETS, material.young, material.poisson)[free][:, free]
@@ -43,7 +47,7 @@ def test_modes_of_another_size_and_material_are_derived_from_those_of_the_shape(
     mu, lam = lame(material)
     _, wanted = softest_modes(lattice_motions(factor * BAR, TETS, mass, np.ones(len(BAR), bool)), mu, lam - mu)
     assert_allclose(squares, wanted, rtol=1e-6, atol=1e-6 * wanted[6])
-    flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
+    flat = weighted(U, mass)
     assert_allclose(flat.T @ flat, np.eye(MODES), atol=1e-9)
 
 
@@ -66,7 +70,7 @@ def test_a_mesh_coarser_than_its_lattice_has_all_rigid_modes(cells):
     mass = SoftBody("box", x, tets, surface, material).masses()
     mu, lam = lame(material)
     U, squares = softest_modes(lattice_motions(x, tets, mass, np.ones(len(x), bool)), mu, lam - mu)
-    flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
+    flat = weighted(U, mass)
     count = min(MODES, 3 * len(x))
     assert_allclose(flat.T @ flat, np.diag(np.arange(MODES) < count), atol=1e-9)
     for axis in np.eye(3):

@@ -242,9 +242,8 @@ class Embedding:
 
     def destroy(self) -> None:
         """Free the device memory."""
-        if self.fields is not None:
-            self.fields.destroy()
-            self.fields, self.count = None, 0
+        self.fields.destroy()
+        self.count = 0
 
     @ti.kernel
     def _deform(self, x: ti.template(), mean: ti.template(), cov: ti.template(), rotation: ti.template()):
@@ -290,9 +289,6 @@ class Embedding:
     def _allocate(self, packed: list[PackedBody], headroom: float, reserve: list[PackedBody]) -> None:
         """Allocate fields of rounded sizes, so that scenes of similar size share their compiled kernels."""
         slices, slots = sum(p.slices for p in packed), sum(p.slots for p in packed)
-        self.fields = None
-        if slices == 0:
-            return
         reserved = 2 * sum(p.slices for p in reserve), 2 * sum(p.slots for p in reserve)
         self.slice_capacity = round_up_capacity(max(int(np.ceil(headroom * slices)), reserved[0]))
         self.slot_capacity = round_up_capacity(max(int(np.ceil(headroom * slots)), reserved[1]))
@@ -309,7 +305,7 @@ class Embedding:
     def fits(self, spans: list[BodySpan], packed: list[PackedBody]) -> bool:
         """True if `load` has the capacity for these."""
         slices, slots = sum(packed[s.body].slices for s in spans), sum(packed[s.body].slots for s in spans)
-        return self.fields is not None and slices <= self.slice_capacity and slots <= self.slot_capacity
+        return slices <= self.slice_capacity and slots <= self.slot_capacity
 
     def load(self, spans: list[BodySpan], packed: list[PackedBody]) -> None:
         """Carry these copies of `packed` bodies, which fit, and no others; those already in place are not rewritten."""
@@ -324,8 +320,7 @@ class Embedding:
                 first_slice, first_slot, span.vertex, span.gaussian, span.scale**2, 1.0 / span.scale,
                 body.target, body.anchor, body.begin, body.rest_cov, body.vertex, body.factor,
             )  # fmt: skip
-        if self.fields is not None:
-            self._clear(starts[-1][0] * SLICE_LANES)
+        self._clear(starts[-1][0] * SLICE_LANES)
         self.spans, self._starts = list(spans), starts
         self.count = sum(b.count for b in bodies)
 

@@ -51,7 +51,7 @@ class Capacity:
     rigid: bool = False
 
     def sized(self, what: str, need: int) -> int:
-        """Capacity for `what`, of which `need` are there at first."""
+        """Capacity for `what`, if `need` of them exist at first."""
         return max(1, int(np.ceil(need * self.factor)), getattr(self, what))
 
     @property

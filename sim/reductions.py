@@ -139,22 +139,24 @@ class Reductions:
 
     def bodies(self, held: list[bool]) -> list[BodyState]:
         """The state of each body, in the order they were given."""
-        self.sum_up()
-        return self.states(self.total.to_numpy(), held)
+        return self.states(self._summed(), held)
 
     def states(self, total: np.ndarray, held: list[bool]) -> list[BodyState]:
         """States of the bodies, from `total`."""
-        total, states = total[: len(self.names)].astype(np.float64), []
+        total = total[: len(self.names)].astype(np.float64)
         finite = total[:, FINITE] > 0
         rotations = np.broadcast_to(np.eye(3), (len(total), 3, 3)).copy()
         rotations[finite] = best_fit_rotation(total[finite, SHAPE:LOW].reshape(-1, 3, 3))
-        for name, t, R, n, holds, driven in zip(
-            self.names, total, rotations, self.flattest, held, self.driven, strict=True
-        ):
-            states.append(
-                BodyState(name, t[:VELOCITY], t[VELOCITY:SHAPE], t[LOW:HIGH], t[HIGH:FINITE], R @ n, holds, driven)
-            )
-        return states
+        rows = zip(self.names, total, rotations, self.flattest, held, self.driven, strict=True)
+        return [
+            BodyState(name, t[:VELOCITY], t[VELOCITY:SHAPE], t[LOW:HIGH], t[HIGH:FINITE], R @ n, holds, driven)
+            for name, t, R, n, holds, driven in rows
+        ]
+
+    def _summed(self) -> np.ndarray:
+        """Sum up, and wait for `total`."""
+        self.sum_up()
+        return self.total.to_numpy()
 
     def observe(self, held: list[bool]) -> "Observation":
         """Launch the sums over all bodies, unless nothing has changed since the last ones."""
@@ -180,8 +182,7 @@ class Reductions:
     def boxes(self) -> np.ndarray:
         """Lowest and highest coordinates of each body [m], (B, 2, 3)."""
         if self._boxes is None:
-            self.sum_up()
-            self._boxes = self.total.to_numpy()[: len(self.names), LOW:FINITE].reshape(-1, 2, 3)
+            self._boxes = self._summed()[: len(self.names), LOW:FINITE].reshape(-1, 2, 3)
         return self._boxes
 
     def forget(self) -> None:
@@ -190,8 +191,7 @@ class Reductions:
 
     def finite(self) -> bool:
         """Return whether every position and velocity is finite."""
-        self.sum_up()
-        return bool(self.total.to_numpy()[: len(self.names), FINITE].all())
+        return bool(self._summed()[: len(self.names), FINITE].all())
 
     @ti.kernel
     def sum_up(self):

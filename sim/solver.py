@@ -388,19 +388,8 @@ class Solver:
             part.warm_up()
         self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
         self.observe()
-        if self._model.bodies:
-            self._warm_up_integrators()
-        self.reset()
-
-    def destroy(self) -> None:
-        """Give the device memory back; the solver must not be used after."""
-        destroy_fields(self)
-
-    # Internals
-
-    def _warm_up_integrators(self) -> None:
-        """Take a substep with each integrator that these bodies can come to need if they are edited."""
-        for name in ("xpbd", "vbd") if self._wanted_integrator == "auto" else (self._integration.integrator,):
+        wanted = ("xpbd", "vbd") if self._wanted_integrator == "auto" else (self._integration.integrator,)
+        for name in wanted if self._model.bodies else ():  # those that these bodies can come to need
             integrator = self._made_integrator(name)
             integrator.load(self._model)
             self._all_sleep(WARM_UP_SUBSTEP, (), 1)
@@ -412,6 +401,13 @@ class Solver:
             self._sleeping.end_frame(WARM_UP_SUBSTEP)
             integrator.reset()
         self.kinematic.end_frame()
+        self.reset()
+
+    def destroy(self) -> None:
+        """Give the device memory back; the solver must not be used after."""
+        destroy_fields(self)
+
+    # Internals
 
     def _choose_integration(self, model: Model, *, rigid: bool) -> Integration:
         """Choose for these bodies; rigid ones limit the substep. BadInput if what is forced does not suit."""

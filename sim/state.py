@@ -19,8 +19,6 @@ Loops run over the capacity and test `i < vertex_count[None]`: a range whose end
 launch, and equal capacities let scenes of different sizes share compiled kernels.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import taichi as ti
 
@@ -103,10 +101,11 @@ class State:
         g.build()
         self._upload: Upload | None = None
         motion = [getattr(self, name) for name in MOTION]
-        self._download_motion, self._upload_motion = Download(motion), Upload(motion)
+        self._download_motion = Download(motion)
+        self.write_motion = Upload(motion)  # of all vertices, four arrays (V, 3)
 
     def load(self, model: Model) -> None:
-        """Take these bodies, of which only the motion is left to be set."""
+        """Take these bodies; only their motion remains to be set."""
         columns = model.columns()
         if self._upload is None:
             self._upload = Upload([getattr(self, name) for name in columns])
@@ -116,10 +115,6 @@ class State:
     def read_motion(self) -> np.ndarray:
         """The motion of all vertices, (4, V, 3) float32 in the order of MOTION."""
         return self._download_motion(self.sizes.vertices)
-
-    def write_motion(self, motion: Sequence[np.ndarray]) -> None:
-        """Set the motion of all vertices, four arrays (V, 3)."""
-        self._upload_motion(list(motion))
 
     def check_capacity(self, sizes: Sizes) -> None:
         """Raise CapacityError if this much does not fit."""

@@ -267,12 +267,7 @@ class ModalCorrection:
     @ti.func
     def find_amplitude(self, bk, lane):
         """q_k of body b, at bk = b * MODES + k."""
-        b, k = bk // MODES, bk % MODES
-        total, j = 0.0, self.blocks.begin[b] + lane
-        while j < self.blocks.begin[b + 1]:
-            total += self.mode_sums[j, k]
-            j += self.lanes
-        total = self._sum(total)
+        total = self._sum_of_blocks(self.mode_sums, bk // MODES, bk % MODES, lane)
         if lane == 0:
             self.amplitude[bk] = total / (1.0 / self.state.dt[None] ** 2 + self.frequency_sqr[bk])
 
@@ -324,11 +319,16 @@ class ModalCorrection:
     @ti.func
     def _body_sum(self, b, k: ti.template(), lane):
         """Sum k of `product_sums` over body b, in all lanes."""
+        return from_lane(self._sum_of_blocks(self.product_sums, b, k, lane), 0, self.lanes)
+
+    @ti.func
+    def _sum_of_blocks(self, partial: ti.template(), b, k, lane):
+        """Sum of column k of the blocks' values over body b, in the first lane."""
         total, j = 0.0, self.blocks.begin[b] + lane
         while j < self.blocks.begin[b + 1]:
-            total += self.product_sums[j, k]
+            total += partial[j, k]
             j += self.lanes
-        return from_lane(self._sum(total), 0, self.lanes)
+        return self._sum(total)
 
     def destroy(self) -> None:
         self._group.destroy()

@@ -4,8 +4,8 @@ A constraint corrects the increments dx of the substep in progress (see sim/stat
 velocity follows from dx once, at the commit, so that no correction is lost however small it is. Corrections are
 weighted by the inverse mass; vertices of inverse mass 0 are prescribed, and what is added to their dx is ignored.
 
-A sweep of an integrator corrects every vertex for itself (`project_vertex`), then runs the phases: loops in which all
-elements of one phase are done before any of the next (`solve_phase`), whose sums the vertices take at last
+A sweep of an integrator corrects every vertex by itself (`project_vertex`), then runs the phases: loops in which all
+elements of one phase are done before any of the next (`solve_phase`). Finally the vertices take their sums
 (`apply_impulses`). Sums over elements are fixed in order or made of integers: repeated CPU runs agree bit for bit.
 
 The integrator that runs the substep is handed to the phases, because they depend on three of its attributes:
@@ -126,7 +126,7 @@ class PersistentGrid:
     """Grid of threads that stays on a CUDA device for many substeps: its blocks meet at barriers instead of ending.
 
     A launch costs about 5 us, a barrier among all blocks 1.2 us. All blocks must run at once, or the barrier would wait
-    forever: one block always fits on a multiprocessor; whether more do is to be tried, see `probe`.
+    forever: one block always fits on a multiprocessor; whether more do, `probe` finds out.
 
     There are `per_multiprocessor` blocks of `block` threads for each; `begin` must run before the loop, in its kernel.
     On the CPU it is one block of one thread, which is a warp of its own: for tests. What is shared memory on CUDA,

@@ -373,7 +373,7 @@ def smallest_last(neighbors: list[list[int]], vertices: list[int]) -> list[int]:
         while not buckets[d]:
             d += 1
         i = buckets[d].pop()
-        if degree.get(i) == d:  # else it is here no more
+        if degree.get(i) == d:  # else it has moved to another bucket
             del degree[i]
             order.append(i)
             for j in neighbors[i]:

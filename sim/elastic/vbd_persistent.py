@@ -82,7 +82,7 @@ class PersistentVBD:
         self.grid.begin()
         s.substep_index[None] += 1
         for i in range(s.V):
-            if s.awake_vertex(i) and not any_active(self):  # the sums of the last constraints act no more
+            if s.awake_vertex(i) and not any_active(self):  # the sums of the last constraints no longer act
                 self.descent.release(i)
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
@@ -224,7 +224,7 @@ class PersistentVBD:
 
     @ti.func
     def _move(self, j, lane):
-        """Move the vertices of block j by the trial's step, of which all warps of a body find the same length."""
+        """Move the vertices of block j by the trial's step; all warps of a body find the same length of it."""
         m, span = self.modal, self.modal.blocks.span[j]
         b = m.find_trial(span[2], lane)
         if lane == 0 and j == m.blocks.begin[span[2]]:
@@ -377,8 +377,7 @@ class PersistentVBD:
             if s.awake_vertex(i):
                 self.descent.push(i)
             i += self.grid.block
-        passed = self.grid.meet(thread, passed, s.substep_index, 0)
-        return passed
+        return self.grid.meet(thread, passed, s.substep_index, 0)
 
     def destroy(self) -> None:
         for part in (self.grid, self.patches, self.descent, self.modal, self._group):

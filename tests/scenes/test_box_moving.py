@@ -5,13 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.vocabulary import Box
-from display.protocol import Frame
 from display.user_commands import Reset
 from scenes import registry
 from scenes.box_moving import FAR, HOLE, PALLET, SIZES, TURN, BoxMoving, before_hole, boxes
-from tests.support.scripted_play import blind_world
-
-DT = 1 / 60  # [s]
+from tests.support.scripted_play import blind_world, frames
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +20,7 @@ def play(world, seconds: float) -> tuple[list[int], bool]:
     """Scores of all frames of the script's first seconds, and whether the hole came free as the big box moved."""
     world.apply([Reset()])
     game, scores, found = world.scene.game, [0], False
-    for k in range(round(seconds / DT)):
-        time = (k + 1) * DT
-        world.step(Frame(DT, time, [], world.scripted_hands(time)))
+    for _ in frames(world, seconds):
         scores.append(game.score)
         big = world.bodies()[-1]
         if not found and not big.held:

@@ -1,7 +1,6 @@
 """A captured room as a scene: read from its folder, strictly; played, reset; it names no file outside of it."""
 
 import json
-import os
 import shutil
 from dataclasses import replace
 
@@ -31,13 +30,6 @@ EYE, TARGET = (0.0, 1.42, 1.15), (0.0, 0.8, 0.0)
 SMALL = {"width": 16, "height": 16}
 
 
-def link(source, target):
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
-
-
 @pytest.fixture
 def folder(tmp_path):
     """A bare floor as if it were captured, with a ring on it and a ring of which one side is held."""
@@ -49,7 +41,7 @@ def folder(tmp_path):
     g = Gaussians.of(np.zeros((1, 3)), [[1, 0, 0, 0]], -3 * np.ones((1, 3)), np.zeros(1), np.zeros((1, 1, 3)))
     Asset(g, sdf=grid, environment=Environment(0.0, (0, 0, 0), EYE, 0.5, floor)).save(path / "room.h5")
     for name in ("ring_red", "ring_blue"):
-        link(find_asset(name), path / "objects" / f"{name}.h5")
+        shutil.copyfile(find_asset(name), path / "objects" / f"{name}.h5")
     half = np.sqrt(0.5)
     objects = (
         RoomObject("red ring", "objects/ring_red.h5", (0.0, 0.017, 0.14), (1.0, 0.0, 0.0, 0.0)),

@@ -15,9 +15,7 @@ from display.user_commands import Duplicate, Remove, Rescale, Reset, SetInteract
 from prepare.rig.skin_weights import least_volumes
 from scenes import registry
 from scenes.just_dance import THROW_PERIOD
-from tests.support.scripted_play import blind_world
-
-DT = 1 / 60  # [s]
+from tests.support.scripted_play import DT, blind_world, frames
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +27,16 @@ def stage(ti_cpu):
 def shape(world, asset) -> np.ndarray:
     """The dancer's cage as it is now [m], (V, 3)."""
     return world.device.solver.x.to_numpy()[: len(asset.cage.vertices)].astype(np.float64)
+
+
+def led_and_wanted(world, asset, body: int, time: float, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Driven vertices of a body as they are, and as the motion has them, moved by (4, 4) of the world."""
+    a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
+    place = np.array(world.scene.bodies[0].position)
+    led, first = a.vertices[a.driven], world.device.solver.vertex_offset[body]
+    wanted = a.skinned(rest[a.vertices], a.matrices(time))[a.driven] + place
+    x = world.device.solver.x.to_numpy()[first : first + len(rest)].astype(np.float64)
+    return x[led], wanted @ move[:3, :3].T + move[:3, 3]
 
 
 @pytest.mark.parametrize("throws", [1, pytest.param(3, marks=pytest.mark.long)])
@@ -43,8 +51,7 @@ def test_the_scripted_player_meets_the_dancer_with_what_he_throws(throws, stage)
     knees = body[(np.abs(rest[body, 1] - 0.36 * height) < 0.08 * height)]
     hem = skirt[rest[skirt, 1] < rest[skirt, 1].min() + 0.02]
     through = 0
-    for k in range(round((game.duration if throws == 3 else THROW_PERIOD) / DT)):
-        world.step(Frame(DT, (k + 1) * DT, [], world.scripted_hands((k + 1) * DT)))
+    for k, _ in enumerate(frames(world, game.duration if throws == 3 else THROW_PERIOD)):
         if k % 12 == 0:
             x = shape(world, asset)
             least = min(least, least_volumes(asset.cage.tets, np.stack([rest, x])).min())
@@ -67,31 +74,17 @@ def test_a_hand_does_not_stop_the_dance(stage):
     """It takes hold of a thigh and is moved away: skin gives way, the bones go on; let go, all is as it was."""
     world, asset = stage
     world.apply([Reset()])
-    a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
-    place = np.array(world.scene.bodies[0].position)
-    led = a.vertices[a.driven]
-    free = np.setdiff1d(np.arange(len(rest)), led)
+    rest, place = asset.cage.vertices.astype(np.float64), np.array(world.scene.bodies[0].position)
+    free = np.setdiff1d(np.arange(len(rest)), asset.animation.vertices[asset.animation.driven])
     grip = place + rest[free[np.argmin(np.linalg.norm(rest[free] - rest.mean(0), axis=1))]]
     for k in range(round(1.5 / DT)):
         time = (k + 1) * DT
         hand = Hand(tuple(grip + [0.0, 0.0, 0.1 * min(time / 0.4, 1.0)]), grip=0.1 < time < 0.8, reach=0.05)
         world.step(Frame(DT, time, [], [hand]))
-        x = shape(world, asset)
         if k == round(0.6 / DT):
             assert world.bodies()[0].held
-        wanted = a.skinned(rest[a.vertices], a.matrices(time))[a.driven] + place
-        assert_allclose(x[led], wanted, atol=2e-5)
-    assert least_volumes(asset.cage.tets, np.stack([rest, x])).min() > 0.2 and world.stats()["finite"]
-
-
-def led_and_wanted(world, asset, body: int, time: float, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Driven vertices of a body as they are, and as the motion has them, moved by (4, 4) of the world."""
-    a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
-    place = np.array(world.scene.bodies[0].position)
-    led, first = a.vertices[a.driven], world.device.solver.vertex_offset[body]
-    wanted = a.skinned(rest[a.vertices], a.matrices(time))[a.driven] + place
-    x = world.device.solver.x.to_numpy()[first : first + len(rest)].astype(np.float64)
-    return x[led], wanted @ move[:3, :3].T + move[:3, 3]
+        assert_allclose(*led_and_wanted(world, asset, 0, time, np.eye(4)), atol=2e-5)
+    assert least_volumes(asset.cage.tets, np.stack([rest, shape(world, asset)])).min() > 0.2 and world.stats()["finite"]
 
 
 def test_a_dancer_that_is_put_elsewhere_dances_on_there_until_it_is_undone(stage):

@@ -1,14 +1,19 @@
 """Scene files of the user's: played by their path, with their options; errors in one line, with the file's line."""
 
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+import scenes
 from commands.parser import parse
 from commands.play import open_state
 from core.errors import BadInput
 from scenes import registry
+from tests.support.scripted_play import play
 
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "writing_a_scene.md"
 SCENE = '''"""Balls: many."""
 from neighbour import EYE
 from scenes.scene import Body, Scene
@@ -47,6 +52,8 @@ def test_a_scene_file_is_played_by_its_path_with_its_own_options(scene_file):
         ("x = 1\n", "no function build"),
         ("build = 3\n", "no function build"),
         ("def build(size):\n    pass\n", "size of build has no default"),
+        ("def build(size: list = ()):\n    pass\n", "neither a text"),
+        ("from __future__ import annotations\n\ndef build(size: Nothing = 1):\n    pass\n", "Nothing"),
     ],
 )
 def test_an_error_in_a_scene_file_is_told_in_one_line(text, said, tmp_path):
@@ -57,9 +64,20 @@ def test_an_error_in_a_scene_file_is_told_in_one_line(text, said, tmp_path):
     assert "\n" not in str(error.value)
 
 
-def test_a_scene_file_that_there_is_not():
+def test_a_missing_scene_file_is_named():
     with pytest.raises(BadInput, match="no such file"):
         registry.load("nowhere/mine.py")
+
+
+def test_the_scene_of_the_guide_plays(tmp_path, monkeypatch, ti_cpu):
+    """That in docs/writing_a_scene.md: found by its name, and its scripted hand does what it promises."""
+    source = re.search(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL).group(1)
+    (tmp_path / "stack.py").write_text(source, encoding="utf-8")
+    monkeypatch.setattr(scenes, "__path__", [*scenes.__path__, str(tmp_path)])
+    assert "stack" in registry.names() and registry.demo("stack").summary.startswith("Stack:")
+    scene = registry.load("stack")
+    scene.game.verify(play(scene, dt=1 / 30).bodies())
+    assert scene.game.message == "Stacked!"
 
 
 def test_a_saved_state_starts_no_scene_file_that_the_command_line_does_not_name(scene_file, monkeypatch):

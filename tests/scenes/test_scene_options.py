@@ -77,22 +77,6 @@ def test_what_an_option_cannot_be_is_told_in_one_line(zoo, capsys, argv, says):
     assert says in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("parameters", "says"),
-    [("which", "has no default"), ("which: list = ()", "neither a text"), ("which: Nothing = 1", "Nothing")],
-)
-def test_a_parameter_that_cannot_be_an_option_is_the_scenes_fault(tmp_path, monkeypatch, capsys, parameters, says):
-    source = (
-        f"from __future__ import annotations\nfrom scenes.scene import Scene\n\ndef build({parameters}):\n    pass\n"
-    )
-    name = f"odd_{abs(hash(parameters))}"
-    (tmp_path / f"{name}.py").write_text(source, "utf-8")
-    monkeypatch.setattr(scenes, "__path__", [*scenes.__path__, str(tmp_path)])
-    with pytest.raises(BadInput, match=says):
-        registry.load(name)
-    assert main(["scenes"]) == 0 and "ring_toss" in capsys.readouterr().out
-
-
 def test_an_option_named_like_one_of_the_program_is_told(tmp_path, monkeypatch, capsys):
     (tmp_path / "sized_scene.py").write_text(SOURCE, "utf-8")
     monkeypatch.setattr(scenes, "__path__", [*scenes.__path__, str(tmp_path)])

@@ -8,9 +8,8 @@ from display.protocol import Frame
 from display.user_commands import Reset
 from scenes import registry
 from scenes.table_brick_game import DRAW_AT, DRAW_TIME, DRAWN, TABLE_TOP, tower, tower_height
-from tests.support.scripted_play import blind_world
+from tests.support.scripted_play import DT, blind_world, frames
 
-DT = 1 / 60  # [s]
 BRICKS = len(tower())
 
 
@@ -23,9 +22,7 @@ def test_the_tower_stands_while_a_plank_is_drawn(world):
     """Until the hand comes, 0.15 s after the start here, bricks do not move; then one alone leaves its place."""
     world.apply([Reset()])
     places = np.array([b.position for b in tower()])
-    for k in range(round((DRAW_TIME + 0.45) / DT)):
-        time = DRAW_AT - 0.15 + (k + 1) * DT
-        world.step(Frame(DT, time, [], world.scripted_hands(time)))
+    for time in frames(world, DRAW_TIME + 0.45, begin=DRAW_AT - 0.15):
         *bricks, bear, _ = world.bodies()
         if time < DRAW_AT - 0.05:
             assert_allclose([b.centroid for b in bricks], places, atol=2e-4)
@@ -41,9 +38,7 @@ def test_the_script_fells_the_tower(world):
     world.apply([Reset()])
     game = world.scene.game
     ball_speed = bear_speed = brick_speed = 0.0
-    for k in range(round(game.duration / DT)):
-        time = (k + 1) * DT
-        world.step(Frame(DT, time, [], world.scripted_hands(time)))
+    for _ in frames(world, game.duration):
         *bricks, bear, ball = world.bodies()
         if not ball.held:
             ball_speed = max(ball_speed, -ball.velocity[2])

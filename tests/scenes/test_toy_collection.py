@@ -45,11 +45,6 @@ def test_toys_are_gathered_and_carried(ti_cpu):
     assert scene.game.score == 0 and not scene.game.carried
 
 
-def state(at, axis=(0.0, 1.0, 0.0)) -> BodyState:
-    at = np.array(at, float)
-    return BodyState("body", at, np.zeros(3), at - 0.1, at + 0.1, np.array(axis), False)
-
-
 @pytest.mark.parametrize(
     ("toy", "axis", "inside"),
     [
@@ -61,4 +56,8 @@ def state(at, axis=(0.0, 1.0, 0.0)) -> BodyState:
     ],
 )
 def test_a_toy_lies_in_an_upright_basket(toy, axis, inside):
+    def state(at, axis=(0.0, 1.0, 0.0)) -> BodyState:
+        at = np.array(at, float)
+        return BodyState("body", at, np.zeros(3), at - 0.1, at + 0.1, np.array(axis), False)
+
     assert toy_collection.lies_in(state((0, 0.12, 0), axis), state(toy)) == inside

@@ -18,12 +18,18 @@ def blind_world(scene: Scene):
     return world
 
 
+def frames(world, seconds: float, *, begin: float = 0.0, dt: float = DT):
+    """Step a world through `seconds` of its script from `begin` [s] on; yields the time after each frame."""
+    for k in range(round(seconds / dt)):
+        time = begin + (k + 1) * dt
+        world.step(Frame(dt, time, [], world.scripted_hands(time)))
+        yield time
+
+
 def play(scene: Scene, seconds: float | None = None, each=None, *, dt: float = DT):
     """The World after the game's duration, or `seconds`; `each(time, world)` is called after every frame."""
     world = blind_world(scene)
-    for k in range(round((seconds or scene.game.duration) / dt)):
-        time = (k + 1) * dt
-        world.step(Frame(dt, time, [], world.scripted_hands(time)))
+    for time in frames(world, seconds or scene.game.duration, dt=dt):
         if each is not None:
             each(time, world)
     return world

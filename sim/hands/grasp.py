@@ -17,6 +17,7 @@ the body's is what the user means. The rigid part of its motion becomes the stra
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import taichi as ti
@@ -58,11 +59,6 @@ class GraspState:
     last: tuple[Hand | None, ...]
     histories: tuple[PoseHistory, ...]
 
-    @classmethod
-    def none(cls, hands: int) -> "GraspState":
-        """State of open hands that were never tracked."""
-        return cls((None,) * hands, (None,) * hands, ((),) * hands)
-
     def renumbered(self, index: list[int | None]) -> "GraspState":
         """The same after bodies were renumbered: index[old] is the new number, None of a removed body and its grasp."""
         kept = [None if g is None or index[g.body] is None else replace(g, body=index[g.body]) for g in self.grasps]
@@ -73,20 +69,15 @@ class GraspState:
         grasps = list(self.grasps)
         for h, grasp in enumerate(grasps):
             if grasp is not None and grasp.body == body:
-                world_from_hand = matrices_from_quaternions(unit(self.last[h].rotation))
+                world_from_hand = matrices_from_quaternions(self.last[h].rotation)
                 grasps[h] = replace(grasp, positions=grasp.positions + shift[grasp.vertices] @ world_from_hand)
         return replace(self, grasps=tuple(grasps))
 
 
-def unit(quaternion) -> np.ndarray:
-    """The quaternion (4,), normalised, float64."""
-    q = np.asarray(quaternion, np.float64)
-    return q / np.linalg.norm(q)
-
-
 def pose(hand: Hand) -> np.ndarray:
     """Position and unit quaternion of a hand, (7,)."""
-    return np.concatenate([np.asarray(hand.position, np.float64), unit(hand.rotation)])
+    q = np.asarray(hand.rotation, np.float64)
+    return np.concatenate([np.asarray(hand.position, np.float64), q / np.linalg.norm(q)])
 
 
 def has_pose(hand: Hand) -> bool:
@@ -95,10 +86,10 @@ def has_pose(hand: Hand) -> bool:
     return bool(np.isfinite(values).all() and np.linalg.norm(values[3:]) > 1e-6)
 
 
-def extended(history: PoseHistory, dt: float, hand: Hand, max_age: float) -> PoseHistory:
-    """The history after dt [s]: with the hand's present pose, without poses older than max_age [s]."""
-    aged = ((age + dt, at) for age, at in history)
-    return (*((age, at) for age, at in aged if age <= max_age + 1e-6), (0.0, tuple(pose(hand).tolist())))
+def extended(history: PoseHistory, dt: float, hand: Hand) -> PoseHistory:
+    """The history after dt [s]: with the hand's present pose, without poses older than THROW_WINDOW."""
+    aged = [(age + dt, at) for age, at in history if age + dt <= THROW_WINDOW + 1e-6]
+    return (*aged, (0.0, tuple(pose(hand).tolist())))
 
 
 def find_grasp(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, weights: np.ndarray) -> Grasp | None:
@@ -107,45 +98,32 @@ def find_grasp(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, 
     x (V, 3) are all vertices [m], of body b those from offsets[b] to offsets[b+1]; ids, weights (P, 3) the samples of
     the surfaces. A coarse mesh may have few vertices within reach, or none of the triangle that is touched.
     """
-    position, nearest = np.asarray(hand.position, np.float64), (np.inf, -1)
-    offsets = np.asarray(offsets)
-    filled = np.flatnonzero(np.diff(offsets))
-    if len(filled) == 0:
-        return None
-    low, high = (extreme.reduceat(x, offsets[filled], axis=0) for extreme in (np.minimum, np.maximum))
-    outside = np.linalg.norm(np.maximum(np.maximum(low - position, position - high), 0.0), axis=1)
-    for body in filled[outside <= hand.reach]:
-        mine = x[offsets[body] : offsets[body + 1]]
-        distance = lengths(mine - position)
-        of_body = (ids[:, 0] >= offsets[body]) & (ids[:, 0] < offsets[body + 1])
-        own = ids[of_body] - offsets[body]
-        surface = lengths(np.einsum("pk,pkc->pc", weights[of_body], mine[own]) - position)
-        least = min(distance.min(), surface.min(initial=np.inf))
-        if least <= hand.reach and least < nearest[0]:
-            nearest = least, body, mine, distance, own, surface
-    if nearest[1] < 0:
-        return None
-    _, body, mine, distance, own, surface = nearest
-    taken = np.flatnonzero(distance <= hand.reach)
-    if len(taken) < MIN_GRASP_VERTICES:
-        taken = np.argsort(distance, kind="stable")[:MIN_GRASP_VERTICES]
-        taken = taken[distance[taken] <= MAX_WIDENING * hand.reach]
-    if len(taken) == 0:
-        taken = np.unique(own[np.argmin(surface)])
-    positions = (mine[taken] - position) @ matrices_from_quaternions(unit(hand.rotation))
-    return Grasp(int(body), taken, positions)
+    position, reach = np.asarray(hand.position, np.float64), hand.reach
+    grasp, least = None, np.inf
+    for body, (first, last) in enumerate(pairwise(offsets)):
+        mine = x[first:last]
+        if first == last or (position < mine.min(0) - reach).any() or (position > mine.max(0) + reach).any():
+            continue
+        distance = np.linalg.norm(mine - position, axis=1)
+        of_body = (ids[:, 0] >= first) & (ids[:, 0] < last)
+        own = ids[of_body] - first
+        surface = np.linalg.norm(np.einsum("pk,pkc->pc", weights[of_body], mine[own]) - position, axis=1)
+        nearest = min(distance.min(), surface.min(initial=np.inf))
+        if not (nearest <= reach and nearest < least):
+            continue
+        taken = np.flatnonzero(distance <= reach)
+        if len(taken) < MIN_GRASP_VERTICES:
+            taken = np.argsort(distance, kind="stable")[:MIN_GRASP_VERTICES]
+            taken = taken[distance[taken] <= MAX_WIDENING * reach]
+        if len(taken) == 0:
+            taken = np.unique(own[np.argmin(surface)])
+        positions = (mine[taken] - position) @ matrices_from_quaternions(hand.rotation)
+        grasp, least = Grasp(body, taken, positions), nearest
+    return grasp
 
 
-def lengths(v: np.ndarray) -> np.ndarray:
-    """Lengths of vectors (N, 3); np.linalg.norm takes seven times as long."""
-    return np.sqrt(np.einsum("nc,nc->n", v, v))
-
-
-def hand_motion(history: tuple[tuple[float, tuple[float, ...]], ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position [m], velocity [m/s] and angular velocity [rad/s] of a hand, by least squares.
-
-    history: ages [s] of its last poses (position, quaternion wxyz), at least two; the position is the last one.
-    """
+def hand_motion(history: PoseHistory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Last position [m] of a hand, and its velocity [m/s] and angular velocity [rad/s] by least squares."""
     t = -np.array([age for age, _ in history])
     poses = np.array([pose for _, pose in history], np.float64)
     attitudes = Rotation.from_quat(poses[:, 3:], scalar_first=True)
@@ -202,7 +180,8 @@ class Grasps:
 
     def reset(self) -> None:
         """Open all hands and forget where they were."""
-        self.set_state(GraspState.none(self.count))
+        n = self.count
+        self.set_state(GraspState((None,) * n, (None,) * n, ((),) * n))
 
     def grasped_bodies(self) -> list[int]:
         """The body that each hand holds, -1 for none."""
@@ -223,8 +202,8 @@ class Grasps:
     def begin_frame(self, hands: list[Hand | None], dt: float, moving: bool) -> None:
         """Take the hands' poses after dt [s]; grasp and release.
 
-        A hand that opens throws a body that no other hand holds, if bodies are `moving`. A
-        missing hand opens and throws nothing. One that is None, or has no finite pose, holds still.
+        A hand that opens throws a body that no other hand holds, if bodies are `moving`. A missing hand opens and
+        throws nothing. One that is None, or has no finite pose, holds still.
         """
         poses = np.zeros((max(self.count, 1), 2, 7), np.float32)
         for h in range(self.count):
@@ -244,7 +223,7 @@ class Grasps:
             if now is not None:
                 poses[h, 0], poses[h, 1] = pose(now if before is None else before), pose(now)
             self.last[h] = None if now is None else replace(now)
-            self.histories[h] = () if self.grasps[h] is None else extended(self.histories[h], dt, now, THROW_WINDOW)
+            self.histories[h] = () if self.grasps[h] is None else extended(self.histories[h], dt, now)
         if any(grasp is not None for grasp in self.grasps):
             self._set_poses(poses)
 
@@ -300,13 +279,19 @@ class Grasps:
             self.rotation[h, k] = ti.Vector([poses[h, k, c] for c in range(3, 7)])
 
     @ti.func
-    def _target(self, h, i, fraction):
-        """Target [m] of vertex i in hand h at a fraction of the frame; rotations blend along the shorter arc."""
+    def pose_at(self, h, fraction):
+        """Position [m] and rotation of hand h at a fraction of the frame; rotations blend along the shorter arc."""
         a, b = self.rotation[h, 0], self.rotation[h, 1]
         q = ti.math.mix(a, b if a.dot(b) >= 0.0 else -b, fraction).normalized()
+        return ti.math.mix(self.position[h, 0], self.position[h, 1], fraction), q
+
+    @ti.func
+    def _target(self, h, i, fraction):
+        """Target [m] of vertex i in hand h at a fraction of the frame."""
+        p, q = self.pose_at(h, fraction)
         r, u = self.target[h, i], ti.Vector([q[1], q[2], q[3]])
         t = 2.0 * u.cross(r)
-        return ti.math.mix(self.position[h, 0], self.position[h, 1], fraction) + r + q[0] * t + u.cross(t)
+        return p + r + q[0] * t + u.cross(t)
 
     @ti.func
     def _spring(self, h, i, d):
@@ -336,10 +321,7 @@ class Grasps:
 
     @ti.func
     def max_speed_gain(self, i):
-        """Speed [m/s] that hands may add to vertex i until the next search.
-
-        That which takes it to its target of the end of the frame, or which the greatest force gives it.
-        """
+        """Speed [m/s] that hands may add to vertex i until the next search: to its target, with the greatest force."""
         t, most = self.state.detect_dt[None], 0.0
         for h in range(self.count):
             if (self.held[i] >> h) & 1:
@@ -351,9 +333,6 @@ class Grasps:
         """Force of each hand on the body it holds in the last substep [N], (3,) each; zero for an open hand."""
         if self.grasps == [None] * self.count:
             return [np.zeros(3)] * self.count
-        return self._forces()
-
-    def _forces(self) -> list[np.ndarray]:
         self._sum()
         return list(self.total.to_numpy()[: self.count] * 1e-6)
 
@@ -372,7 +351,8 @@ class Grasps:
     def warm_up(self) -> None:
         """See Solver.warm_up."""
         self._motion(0)
-        self._forces()
+        self._sum()
+        self.total.to_numpy()
         if self.count:
             self._hold(0, self.grasps[0])
             self._set_poses(np.zeros((self.count, 2, 7), np.float32))  # each frame that needs them sets them
@@ -388,12 +368,11 @@ class RigidGrasp:
 
     for the centre of mass, which the hand wants at p and to move by `step` in this substep, and alike for the attitude.
 
-    body i32[H]: the rigid body that each hand holds, -1 none;   position vec3 [m] and attitude vec4 in its frame.
-
-    force vec3[H] [N]: of the last substep, on the body.   grasps: the hands' poses and grasps, None without hands.
+    body i32[H]: the rigid body that each hand holds, -1 none;   position vec3 [m] and attitude vec4 in its frame
+    force vec3[H] [N]: of the last substep, on the body;   grasps: None without hands
     """
 
-    def __init__(self, state: State, grasps):
+    def __init__(self, state: State, grasps: Grasps | None):
         self.state, self.grasps = state, grasps
         self.count = 0 if grasps is None else grasps.count
         H, group = max(self.count, 1), FieldGroup()
@@ -430,9 +409,7 @@ class RigidGrasp:
     @ti.func
     def _target(self, h, f):
         """Position [m] and attitude that hand h wants of its body at a fraction of the frame."""
-        a, b = self.grasps.rotation[h, 0], self.grasps.rotation[h, 1]
-        q = ti.math.mix(a, b if a.dot(b) >= 0.0 else -b, f).normalized()
-        p = ti.math.mix(self.grasps.position[h, 0], self.grasps.position[h, 1], f)
+        p, q = self.grasps.pose_at(h, f)
         return p + quaternion.to_matrix(q) @ self.position[h], quaternion.multiply(q, self.attitude[h])
 
     @ti.func

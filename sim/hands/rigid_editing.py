@@ -36,12 +36,17 @@ class TwoHandGrasp:
     middle: np.ndarray = None  # m, (3,)
 
 
+@ti.data_oriented
 class RigidEditing:
-    """Places grasped bodies relative to where they were grasped, so that no error accumulates."""
+    """Places grasped bodies relative to where they were grasped, so that no error accumulates.
+
+    start vec3[V]: where the vertices of a body were when it was grasped [m]
+    """
 
     def __init__(self, state: State):
-        self._state = state
-        self._single, self._double = RigidPlacement(state), RigidPlacement(state)
+        self.state, self._group = state, FieldGroup()
+        self.start = self._group.vector(state.V)
+        self._group.build()
         self._grasps: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grasp
         self._poses: dict[int, np.ndarray] = {}  # hand -> world_from_hand after the last step, of those that hold
         self._held: dict[int, np.ndarray] = {}  # the same of those that go on holding what was changed
@@ -59,12 +64,12 @@ class RigidEditing:
             elif self._grasps.get(h, (-1,))[0] != body:
                 begin = self._held.get(h)
                 self._grasps[h] = (body, np.linalg.inv(world_from_hand(hand) if begin is None else begin))
-                self._single.keep(body)
+                self._keep(body)
         moved = set()
         for h, (body, hand_from_world) in sorted(self._grasps.items()):
             if body not in moved and h < len(hands):
                 M = world_from_hand(hands[h]) @ hand_from_world
-                self._single.place(body, M[:3, :3], M[:3, 3])
+                self._place(body, M[:3, :3], M[:3, 3])
                 moved.add(body)
         self._held = {}
         self._poses = {h: world_from_hand(hands[h]) for h in self._grasps if h < len(hands)}
@@ -88,9 +93,9 @@ class RigidEditing:
 
     def warm_up(self) -> None:
         """See Solver.warm_up."""
-        for placement in (self._single, self._double):
-            placement.warm_up()
-        for field in (self._state.body_of_vertex, self._double.start, self._state.mass):
+        self._keep(-1)
+        self._place(-1, np.eye(3), np.zeros(3))
+        for field in (self.state.body_of_vertex, self.start, self.state.mass):
             field.to_numpy()
 
     def _scale(self, hands: list[Hand | None], grasped: list[int]) -> list[int]:
@@ -111,65 +116,51 @@ class RigidEditing:
                 if np.linalg.norm(positions[1] - positions[0]) < MIN_HAND_DISTANCE:
                     continue
                 self._pairs[body] = TwoHandGrasp(*by[:2], positions)
-                self._double.keep(body)
-            self._follow(body, positions)
+                self._keep(body)
+            self._follow(self._pairs[body], body, positions)
             for h in by:
                 alone[h] = -1
         return alone
 
-    def _follow(self, body: int, positions: np.ndarray) -> None:
-        pair = self._pairs[body]
+    def _follow(self, pair: TwoHandGrasp, body: int, positions: np.ndarray) -> None:
         before, now = pair.positions[1] - pair.positions[0], positions[1] - positions[0]
         lengths = np.linalg.norm(before), np.linalg.norm(now)
         pair.factor = float(np.clip(lengths[1] / lengths[0], MIN_SCALE, MAX_SCALE))
         if lengths[1] > 1e-9:
             pair.rotation = rotation_between(before, now)
         pair.middle = positions.mean(0)
-        self._place(body, pair.factor, pair.rotation, pair.positions.mean(0), pair.middle)
-
-    def _place(self, body: int, factor: float, R: np.ndarray, origin: np.ndarray, to: np.ndarray) -> None:
-        A = factor * R
-        self._double.place(body, A, to - A @ origin)
+        A = pair.factor * pair.rotation
+        self._place(body, A, pair.middle - A @ pair.positions.mean(0))
 
     def _end_pair(self, body: int, *, alone: bool) -> None:
         """Restore a body's own size; `alone`: one hand still holds it."""
-        pair, s = self._pairs.pop(body), self._state
+        pair, s = self._pairs.pop(body), self.state
         n = s.sizes.vertices
         mine = s.body_of_vertex.to_numpy()[:n] == body
-        x, mass = self._double.start.to_numpy()[:n][mine].astype(np.float64), s.mass.to_numpy()[:n][mine]
+        x, mass = self.start.to_numpy()[:n][mine].astype(np.float64), s.mass.to_numpy()[:n][mine]
         fixed = np.average(x, axis=0, weights=mass)
         if not alone:  # its foot, as it is turned now
             up = pair.rotation.T @ (0.0, 1.0, 0.0)
             fixed = fixed + up * ((x - fixed) @ up).min()
         to = pair.middle + pair.factor * pair.rotation @ (fixed - pair.positions.mean(0))
-        self._place(body, 1.0, pair.rotation, fixed, to)
+        self._place(body, pair.rotation, to - pair.rotation @ fixed)
         if abs(pair.factor - 1.0) > MIN_CHANGE:
             self._scaling = (body, pair.factor)
 
-
-@ti.data_oriented
-class RigidPlacement:
-    """Affine placement of bodies relative to their vertices when they were kept: start vec3[V] [m]."""
-
-    def __init__(self, state: State):
-        self.state, self._group = state, FieldGroup()
-        self.start = self._group.vector(state.V)
-        self._group.build()
-
     @ti.kernel
-    def keep(self, body: ti.i32):
+    def _keep(self, body: ti.i32):
         """Place a body relative to where it is now, from now on."""
         s = self.state
         for i in range(s.V):
             if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
                 self.start[i] = s.x[i]
 
-    def place(self, body: int, A, t) -> None:
+    def _place(self, body: int, A: np.ndarray, t: np.ndarray) -> None:
         """Put a body at A start + t, A (3, 3), t (3,) [m], at rest."""
-        self._place(body, ti.Matrix(A.tolist()), ti.Vector(t.tolist()))
+        self._put(body, ti.Matrix(A.tolist()), ti.Vector(t.tolist()))
 
     @ti.kernel
-    def _place(self, body: ti.i32, A: ti.types.matrix(3, 3, ti.f32), t: ti.types.vector(3, ti.f32)):
+    def _put(self, body: ti.i32, A: ti.types.matrix(3, 3, ti.f32), t: ti.types.vector(3, ti.f32)):
         s = self.state
         for i in range(s.V):
             if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
@@ -177,11 +168,6 @@ class RigidPlacement:
                 s.x_lo[i].fill(0.0)
                 s.v[i].fill(0.0)
                 s.v_lo[i].fill(0.0)
-
-    def warm_up(self) -> None:
-        """Compile the kernels by calls that change nothing."""
-        self.keep(-1)
-        self.place(-1, np.eye(3), np.zeros(3))
 
 
 def world_from_hand(hand: Hand) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 import taichi as ti
 
 from core.vocabulary import Hand
-from sim.contact.broad_phase import BodyBounds, SelfCollision, SweptBounds, can_fold
+from sim.contact.broad_phase import BodyBounds, SelfCollision, can_fold
 from sim.contact.constraints import NO_DISTANCE, NOT_CHECKED, VALID, ContactConstraints, ContactForces
 from sim.contact.contact_samples import CapsuleSamples, ContactSamples, QueryPoints, spacing_for
 from sim.contact.finger_capsules import FingerCapsules
@@ -26,7 +26,7 @@ from sim.hands.finger_contact import FingerContact
 from sim.hands.grasp import Grasps
 from sim.model import MAX_BODIES, Capacity, Model, fit
 from sim.rigid.rigid_bodies import RigidBodies, RigidShapes
-from sim.rigid.rigid_broad_phase import GROUPS, RigidBroadPhase, slot_count
+from sim.rigid.rigid_broad_phase import GROUPS, SLOTS, RigidBroadPhase
 from sim.rigid.rigid_contact import RigidContacts
 from sim.state import State
 
@@ -61,14 +61,13 @@ class Contacts(Constraint):
         self.coupled, self.soft = rigid_bodies is not None, first.soft or capacity.grows
         self.samples = ContactSamples(state, first, spacing_for(shapes), capacity)
         self.static_shapes = StaticShapes(shapes)
-        self.bounds = BodyBounds(state, blocks)
-        self.swept_bounds = SweptBounds(state, grasps, self.bounds)
+        self.bounds = BodyBounds(state, blocks, grasps)
         foldable = [can_fold(p.shape) for p in first.bodies if p.body.rigid or p.body.self_contact]
         self_collides = self_contact and (capacity.grows or any(foldable))
         self.self_collision = SelfCollision(state, blocks, self.bounds) if self_collides else None
         capsules = FingerCapsules(state, self.bounds, grasps.count) if fingers else None
         self.begin_rigid = self.samples.capacity
-        begin = self.begin_rigid + (slot_count(self.samples) if self.coupled else 0)
+        begin = self.begin_rigid + (SLOTS * self.samples.capacity if self.coupled else 0)
         query_points = QueryPoints(self.samples, CapsuleSamples(shapes, self.samples.spacing), self.bounds, capsules)
         self.deformable = DeformableContact(first, query_points, self.self_collision, begin, capacity)
         on_triangles = capacity.grows or self.samples.triangle_points(first) > 0
@@ -78,18 +77,16 @@ class Contacts(Constraint):
         size = self.begin_fingers + (capsules.count if fingers and self.coupled else 0)
         first_finger = self.deformable.first_finger if fingers else None
         self.constraints = ContactConstraints(state, size, rigid_bodies, first_finger)
+        self.forces = ContactForces(state, self.constraints)
+        self.static = StaticContact(self.samples, self.static_shapes, self.bounds, self.constraints, self.forces)
         self.rigid_shapes = self.rigid_search = self.rigid = self.fingers = None
         if self.coupled:
             self.rigid_shapes = RigidShapes(rigid_bodies, self.samples, self.deformable.grids)
-            self.rigid_search = RigidBroadPhase(
-                self.rigid_shapes, self.static_shapes, self.bounds, self.constraints, self.begin_rigid
-            )
+            self.rigid_search = RigidBroadPhase(self.rigid_shapes, self.static, self.begin_rigid)
             self.rigid = RigidContacts(self.rigid_search)
         self.has_fingers = fingers
         if fingers:
             self.fingers = FingerContact(capsules, self.constraints, self.begin_fingers, self.rigid_shapes)
-        self.forces = ContactForces(state, self.constraints)
-        self.static = StaticContact(self.samples, self.static_shapes, self.bounds, self.constraints, self.forces)
         self.max_groups = GROUPS if self.coupled else 0  # constraints between rigid bodies alone are solved in groups
         later = size if self.soft or fingers else 0
         self.phase_sizes = (size,) + (later,) * self.constraints.passes
@@ -137,7 +134,7 @@ class Contacts(Constraint):
             self.fingers.reset()
         self.constraints.clear()
         self.static.clear()
-        self.forces.clear_all()
+        self.forces.correction.fill(0.0)
         if self.coupled:
             self.rigid_search.reset()
 
@@ -157,7 +154,6 @@ class Contacts(Constraint):
     def _begin_search(self):
         """Bounds of the bodies, and what static shapes are near. One kernel: a call costs as much as all its loops."""
         self.bounds.update()
-        self.swept_bounds.update()
         if ti.static(self.deformable.self_collides):
             self.self_collision.update()
         if ti.static(self.deformable.needed):
@@ -223,7 +219,8 @@ class Contacts(Constraint):
             r = self.constraints.candidate[k]
             if ti.static(not later):
                 if k == 0:
-                    self.constraints.begin_passes()
+                    for j in range(1 + self.constraints.passes):
+                        self.constraints.changed[j] = 0
                 if self.constraints.status[r] != NOT_CHECKED:
                     self._activate(r, self.constraints.status[r] == VALID, integrator)
             elif ti.static(self.soft or self.has_fingers):
@@ -242,7 +239,7 @@ class Contacts(Constraint):
     @ti.func
     def release_group(self, g):
         if ti.static(self.coupled):
-            self.rigid.release(self.rigid_search.group[g])
+            self.rigid_search.active[self.rigid_search.group[g]] = 0
 
     @ti.func
     def continues(self, phase):

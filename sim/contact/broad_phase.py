@@ -1,4 +1,4 @@
-"""Broad phase: how far each body may come until the next search, which may touch themselves, and a hash of points."""
+"""Broad phase: swept bounds of the bodies, which of them may touch themselves, and a hash of points."""
 
 import numpy as np
 import taichi as ti
@@ -35,25 +35,42 @@ def gap_of_boxes(low, high, other_low, other_high):
 
 @ti.data_oriented
 class BodyBounds:
-    """Per body: box of positions low, high vec3[B] [m], and of velocities v_min, v_max vec3[B] [m/s].
+    """Swept (speculative) bounds of the bodies: positions, velocities, and the speed gained until the next search.
 
-    speed f32[B] [m/s]: upper bound of the speed of its vertices
-    speed_gain f32[B] [m/s]: what may come on top until the next search, see SweptBounds
-    max_speed f32[B] [m/s]: the speed that no vertex is expected to exceed, on average, until the next search.
+    Contacts are searched for as far away as bodies can come; a bound that is too low lets a thin plate tunnel. Of
+    body b, whose vertices move at speed_b, with t the time until the next search,
+
+        gain_b = |g| t + sqrt(2 max Psi / rho) + max min(|target - x| / t, a t)
+
+    because energy Psi [J/m^3] that springs back moves matter at sqrt(2 Psi / rho), and a hand's spring is critically
+    damped: its vertices go to their target and not beyond, with the acceleration a at most. What a body c in its path
+    may hit moves on at 2 m_c / (m_b + m_c) times the speed of c, at most (elastic and head-on).
+
+    low, high vec3[B] [m]: box of positions;   v_min, v_max vec3[B] [m/s]: of velocities, with the gain
+    speed f32[B] [m/s]: upper bound of the speed of its vertices;   speed_gain f32[B] [m/s]: what may come on top
+    max_speed f32[B] [m/s]: the speed that no vertex is expected to exceed, on average, until the next search
+    spring_speed, grasp_speed f32[B] [m/s]: the two maxima above;   impact_speed f32[B] [m/s]: that b brings
     """
 
-    def __init__(self, state: State, blocks):
-        self.state, self.blocks = state, blocks
+    def __init__(self, state: State, blocks, grasps):
+        self.state, self.blocks, self.grasps = state, blocks, grasps
         group = self._group = FieldGroup()
         self.partial = group.vector(blocks.size, 4)
         with group.interleaved(MAX_BODIES):
             self.low, self.high, self.v_min, self.v_max = (group.vector() for _ in range(4))
         self.max_speed, self.speed, self.speed_gain = (group.scalar(MAX_BODIES) for _ in range(3))
+        self.spring_speed, self.grasp_speed, self.impact_speed = (group.scalar(MAX_BODIES) for _ in range(3))
         group.build()
 
     @ti.func
     def update(self):
-        """Compute the bounds of the present positions and velocities. Outermost level of a kernel."""
+        """Compute the bounds, for the hands' poses of this frame too. Outermost level of a kernel."""
+        self._find_boxes()
+        self._add_gains()
+
+    @ti.func
+    def _find_boxes(self):
+        """Boxes without gains. Outermost level of a kernel."""
         s = self.state
         c = self.blocks
         for w in range(c.size * c.lanes):
@@ -83,7 +100,6 @@ class BodyBounds:
                 if lane == 0:
                     self.low[b], self.high[b], self.v_min[b], self.v_max[b] = low, high, v_min, v_max
                     self.speed[b] = ti.max(abs(v_min), abs(v_max)).norm()
-                    self.widen(b, 0.0)
 
     @ti.func
     def _combined(self, low, high, v_min, v_max):
@@ -95,17 +111,66 @@ class BodyBounds:
         return low, high, v_min, v_max
 
     @ti.func
-    def widen(self, b, gain):
-        """Expect body b to gain this much speed [m/s], in any direction."""
-        self.v_min[b] -= gain
-        self.v_max[b] += gain
-        self.speed_gain[b] = gain
-        self.max_speed[b] = self.speed[b] + gain + CONTACT_MARGIN / self.state.detect_dt[None]
+    def _add_gains(self):
+        """Add the speeds that bodies may gain. Outermost level of a kernel."""
+        s = self.state
+        for b in range(MAX_BODIES):
+            self.spring_speed[b] = 0.0
+            self.grasp_speed[b] = 0.0
+        lanes = ti.static(lane_count())
+        for t in range(s.T):  # whole warps: T is a multiple of them
+            b, speed = 0, 0.0
+            if t < s.tet_count[None]:
+                b, speed = s.body_of_tet[t], self._spring_speed(t)
+            max_by_key(self.spring_speed, b, speed, t % lanes, lanes)
+        if ti.static(self.grasps.count > 0):
+            for i in range(s.V):
+                if i < s.vertex_count[None] and self.grasps.held[i] != 0:
+                    ti.atomic_max(self.grasp_speed[s.body_of_vertex[i]], self.grasps.max_speed_gain(i))
+        for b in range(MAX_BODIES):
+            if b < s.body_count[None]:
+                t = s.detect_dt[None]
+                gain = s.gravity[None].norm() * t + self.spring_speed[b] + self.grasp_speed[b]
+                self.impact_speed[b] = self.speed[b] + gain
+        for b in range(MAX_BODIES):
+            if b < s.body_count[None]:
+                gain = self._after_impact(b) - self.speed[b]
+                self.v_min[b] -= gain
+                self.v_max[b] += gain
+                self.speed_gain[b] = gain
+                self.max_speed[b] = self.speed[b] + gain + CONTACT_MARGIN / s.detect_dt[None]
+
+    @ti.func
+    def _spring_speed(self, t):
+        """sqrt(2 Psi / rho) of a tet [m/s]."""
+        s = self.state
+        a = s.tets[t]
+        b = s.body_of_tet[t]
+        x0, X0 = s.x[a[0]], s.rest[a[0]]
+        e = ti.Matrix.cols([s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0])
+        E = ti.Matrix.cols([s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0])
+        F = e @ E.inverse()
+        psi = energy_density((F.transpose() @ F).trace(), F.determinant() - 1.0, s.mu[b], s.lam[b])
+        return ti.sqrt(2.0 * ti.max(psi, 0.0) / s.density[b])
+
+    @ti.func
+    def _after_impact(self, b):
+        """Speed [m/s] of body b, or the one it has after a faster body has hit it, if one may."""
+        s = self.state
+        t = s.detect_dt[None]
+        result = self.impact_speed[b]
+        for c in range(s.body_count[None]):
+            margin = (self.impact_speed[b] + self.impact_speed[c]) * t + CONTACT_MARGIN
+            apart = gap_of_boxes(self.low[b], self.high[b], self.low[c], self.high[c])
+            if c != b and apart < margin:
+                transfer = 2.0 * s.body_mass[c] / (s.body_mass[b] + s.body_mass[c])
+                result = ti.max(result, transfer * self.impact_speed[c])
+        return result
 
 
 @ti.data_oriented
 class PointHash:
-    """Spatial hash of points (Teschner et al. 2003): `count`, then `allocate`, then `insert`, then query.
+    """Spatial hash of points (Teschner et al. 2003): empty buckets, `count`, `allocate`, `insert`, and query.
 
     cell f32 is a cell's size [m]; entry i32[N] the points and position vec3[N] where they are, cell after cell; begin,
     size i32[] the range of each bucket.
@@ -134,10 +199,6 @@ class PointHash:
         return (c[0] * 73856093 ^ c[1] * 19349663 ^ c[2] * 83492791) & (self.buckets - 1)
 
     @ti.func
-    def clear(self, bucket):
-        self.size[bucket] = 0
-
-    @ti.func
     def count(self, k, p):
         """Count point k at p in its bucket."""
         bucket = self.bucket_of(self.cell_of(p))
@@ -162,87 +223,6 @@ class PointHash:
         """First cell of a box and one past its last, at most MAX_QUERY_CELLS along each axis."""
         first = self.cell_of(low)
         return first, ti.min(self.cell_of(high) + 1, first + MAX_QUERY_CELLS)
-
-
-@ti.data_oriented
-class SweptBounds:
-    """Swept (speculative) bounds: the speed that each body may gain before the next search.
-
-    Contacts are searched for as far away as bodies can come; a bound that is too low lets a thin plate tunnel. Of
-    body b, whose vertices move at speed_b, with t the time until the next search,
-
-        gain_b = |g| t + sqrt(2 max Psi / rho) + max min(|target - x| / t, a t)
-
-    because energy Psi [J/m^3] that springs back moves matter at sqrt(2 Psi / rho), and a hand's spring is critically
-    damped: its vertices go to their target and not beyond, with the acceleration a at most. What a body c in its path
-    may hit moves on at 2 m_c / (m_b + m_c) times the speed of c, at most (elastic and head-on).
-
-    spring_speed, grasp_speed f32[B] [m/s]: the two maxima above;   impact_speed f32[B] [m/s]: that b brings.
-    """
-
-    def __init__(self, state: State, grasps, bounds: BodyBounds):
-        self.state, self.grasps, self.bounds = state, grasps, bounds
-        group = self._group = FieldGroup()
-        self.spring_speed, self.grasp_speed = group.scalar(MAX_BODIES), group.scalar(MAX_BODIES)
-        self.impact_speed = group.scalar(MAX_BODIES)
-        group.build()
-
-    @ti.func
-    def update(self):
-        """Widen the bounds, which must be up to date, also for the hands' poses of this frame.
-
-        Outermost level of a kernel.
-        """
-        s = self.state
-        for b in range(MAX_BODIES):
-            self.spring_speed[b] = 0.0
-            self.grasp_speed[b] = 0.0
-        lanes = ti.static(lane_count())
-        for t in range(s.T):  # whole warps: T is a multiple of them
-            b, speed = 0, 0.0
-            if t < s.tet_count[None]:
-                b, speed = s.body_of_tet[t], self._spring_speed(t)
-            max_by_key(self.spring_speed, b, speed, t % lanes, lanes)
-        if ti.static(self.grasps.count > 0):
-            for i in range(s.V):
-                if i < s.vertex_count[None] and self.grasps.held[i] != 0:
-                    ti.atomic_max(self.grasp_speed[s.body_of_vertex[i]], self.grasps.max_speed_gain(i))
-        for b in range(MAX_BODIES):
-            if b < s.body_count[None]:
-                t = s.detect_dt[None]
-                gain = s.gravity[None].norm() * t + self.spring_speed[b] + self.grasp_speed[b]
-                self.impact_speed[b] = self.bounds.speed[b] + gain
-        for b in range(MAX_BODIES):
-            if b < s.body_count[None]:
-                self.bounds.widen(b, self._after_impact(b) - self.bounds.speed[b])
-
-    @ti.func
-    def _spring_speed(self, t):
-        """sqrt(2 Psi / rho) of a tet [m/s]."""
-        s = self.state
-        a = s.tets[t]
-        b = s.body_of_tet[t]
-        x0, X0 = s.x[a[0]], s.rest[a[0]]
-        e = ti.Matrix.cols([s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0])
-        E = ti.Matrix.cols([s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0])
-        F = e @ E.inverse()
-        psi = energy_density((F.transpose() @ F).trace(), F.determinant() - 1.0, s.mu[b], s.lam[b])
-        return ti.sqrt(2.0 * ti.max(psi, 0.0) / s.density[b])
-
-    @ti.func
-    def _after_impact(self, b):
-        """Speed [m/s] of body b, or the one it has after a faster body has hit it, if one may."""
-        s = self.state
-        t = s.detect_dt[None]
-        box = self.bounds
-        result = self.impact_speed[b]
-        for c in range(s.body_count[None]):
-            margin = (self.impact_speed[b] + self.impact_speed[c]) * t + CONTACT_MARGIN
-            apart = gap_of_boxes(box.low[b], box.high[b], box.low[c], box.high[c])
-            if c != b and apart < margin:
-                transfer = 2.0 * s.body_mass[c] / (s.body_mass[b] + s.body_mass[c])
-                result = ti.max(result, transfer * self.impact_speed[c])
-        return result
 
 
 @ti.data_oriented

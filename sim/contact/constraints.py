@@ -109,10 +109,6 @@ class ContactConstraints:
         self.next_check[r] = s.substep_index[None] + 1 + substeps
 
     @ti.func
-    def set_vertex(self, r, e, i, c):
-        self.vertex[r, e], self.coefficient[r, e] = i, c
-
-    @ti.func
     def set_vertex_count(self, r, count):
         """Give row r the vertices set so far; unused places get a coefficient of 0."""
         self.vertex_count[r] = count
@@ -142,14 +138,14 @@ class ContactConstraints:
                     self._count_split(r, e)
             if ti.static(self.coupled):
                 for e in range(self.body_count[r]):
-                    self.rigid_bodies.count_split(self.body[r, e])
+                    ti.atomic_add(self.rigid_bodies.split_count[self.body[r, e]], 1)
         self.set_active(r, usable, loaded)
 
     @ti.func
     def set_active(self, r, usable, loaded):
-        """Let row r take part in this sweep if it is loaded: at first by its impulse of the last substep.
+        """Activate row r in this sweep if it is loaded, beginning with its impulse of the last substep.
 
-        Else that is forgotten, and the row waits until its distance may be used up, if it is `usable`: if it has one.
+        Otherwise clear that impulse and, if the row has a distance (`usable`), skip it until that may be used up.
         """
         self.active[r] = ti.cast(loaded, ti.i32)
         if loaded:
@@ -163,12 +159,6 @@ class ContactConstraints:
     def continues(self, j):
         """Return whether pass j is needed: it is the first, or the one before it has changed something."""
         return j == 1 or self.changed[j - 1] != 0
-
-    @ti.func
-    def begin_passes(self):
-        """Forget what the passes of the last sweep changed."""
-        for j in range(1 + self.passes):
-            self.changed[j] = 0
 
     @ti.func
     def solve(self, r, j, integrator: ti.template()):
@@ -187,7 +177,7 @@ class ContactConstraints:
                 along = y_t / ti.max(y_t.norm(), 1e-20)
                 for e in range(self.body_count[r]):
                     b, arm = self.body[r, e], self.lever_arm[r, e]
-                    count = self.rigid_bodies.splits(b)
+                    count = ti.cast(self.rigid_bodies.split_count[b], ti.f32)
                     inv_mass += count * self.rigid_bodies.inverse_effective_mass(b, arm, n)
                     inv_mass_t += count * self.rigid_bodies.inverse_effective_mass(b, arm, along)
             if inv_mass > 0.0:
@@ -329,10 +319,6 @@ class ContactForces:
     @ti.func
     def clear(self, i):
         self.correction[i] = ti.Vector([0.0, 0.0, 0.0])
-
-    def clear_all(self) -> None:
-        """Forget all forces of static shapes: the vertices may belong to other bodies now."""
-        self.correction.fill(0.0)
 
     def per_body(self) -> np.ndarray:
         """Force of all contacts on each body in the last substep [N], (B, 3) float64."""

@@ -11,7 +11,7 @@ from core.distance_grid import SKIN_VOXELS, DistanceGrid
 from core.fields import FieldGroup, Upload, round_up_capacity
 from core.vocabulary import Capsule
 from sim.contact.broad_phase import BodyBounds
-from sim.contact.finger_capsules import FingerCapsules
+from sim.contact.finger_capsules import SAMPLES_PER_CAPSULE, FingerCapsules
 from sim.contact.static_shapes import Shape, StaticGrid
 from sim.model import MAX_BODIES, BodyModel, Capacity, Model, RestShape, fit, stacked
 from sim.state import State
@@ -40,8 +40,10 @@ class SurfacePoints:
     ids: np.ndarray
     weights: np.ndarray
 
-    def joined(self, other: "SurfacePoints") -> "SurfacePoints":
-        return SurfacePoints(np.concatenate([self.ids, other.ids]), np.concatenate([self.weights, other.weights]))
+
+def points_at(vertices: np.ndarray) -> SurfacePoints:
+    """Points at vertices of these indices (N,)."""
+    return SurfacePoints(np.repeat(vertices[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(vertices), 1)))
 
 
 def spacing_for(shapes: list[Shape]) -> float:
@@ -58,22 +60,19 @@ def surface_points(vertices: np.ndarray, surface: np.ndarray, spacing: float, mo
     MIN_SEPARATION spacings from all taken before. If more than `most` points come out, the spacing grows.
     """
     x, surface = np.asarray(vertices, np.float64), np.asarray(surface, np.int64)
-    used = np.unique(surface)
-    ids, weights = np.repeat(used[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(used), 1))
+    corners = points_at(np.unique(surface))
+    count = len(corners.ids)
     edges = np.linalg.norm(x[surface] - x[np.roll(surface, -1, axis=1)], axis=-1).max(1)
     area = np.linalg.norm(np.cross(*np.diff(x[surface], axis=1).swapaxes(0, 1)), axis=1).sum() / 2
     spacing = max(spacing, 0.8 * np.sqrt(area / most))  # a smaller spacing gives far too many points
     while True:
-        lattice = [
-            triangle_lattice(surface[steps == n], n)
-            for steps in [np.ceil(edges / (0.5 * spacing) - 1e-6).astype(int)]
-            for n in np.unique(steps[edges > spacing])
-        ]
-        all_ids = np.concatenate([ids, *(i for i, _ in lattice)])
-        all_weights = np.concatenate([weights, *(w for _, w in lattice)])
-        taken = thin_out((x[all_ids] * all_weights[..., None]).sum(1), MIN_SEPARATION * spacing, len(used))
-        if len(taken) <= max(most, len(used)):
-            return SurfacePoints(all_ids[taken], all_weights[taken])
+        steps = np.ceil(edges / (0.5 * spacing) - 1e-6).astype(int)
+        lattice = [triangle_lattice(surface[steps == n], n) for n in np.unique(steps[edges > spacing])]
+        ids = np.concatenate([corners.ids, *(i for i, _ in lattice)])
+        weights = np.concatenate([corners.weights, *(w for _, w in lattice)])
+        taken = thin_out((x[ids] * weights[..., None]).sum(1), MIN_SEPARATION * spacing, count)
+        if len(taken) <= max(most, count):
+            return SurfacePoints(ids[taken], weights[taken])
         spacing *= 1.25
 
 
@@ -115,7 +114,7 @@ def skin_depth(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | 
 def points_of(shape: RestShape, spacing: float) -> SurfacePoints:
     """Samples of a rest shape."""
     if shape.rigid:  # few points suffice between the corners and edges of a body that does not bend
-        spacing = max(spacing, MIN_RIGID_SPACING * float(np.ptp(shape.vertices, axis=0).max()))
+        spacing = max(spacing, MIN_RIGID_SPACING * shape.length)
     return surface_points(shape.vertices, shape.surface, spacing)
 
 
@@ -124,21 +123,17 @@ def skin_of(shape: RestShape, spacing: float) -> np.ndarray:
     return skin_depth(shape.once(points_of, spacing), shape.vertices, shape.sdf)
 
 
-def inner_of(shape: RestShape) -> SurfacePoints:
-    """Samples at the vertices that are not on the surface."""
-    inside = np.setdiff1d(np.arange(len(shape.vertices)), shape.surface)
-    return SurfacePoints(np.repeat(inside[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(inside), 1)))
-
-
-def collapses(part: BodyModel) -> bool:
-    """True if a body cannot carry its own weight on Earth."""
-    m, height = part.material, float(np.ptp(part.shape.vertices, axis=0).max())
-    return not part.shape.rigid and m.density * 9.81 * height > MAX_SELF_WEIGHT * m.young
+def inner_of(part: BodyModel) -> np.ndarray:
+    """Inner vertices that are samples too: those of a body that cannot carry its own weight on Earth."""
+    m, shape = part.material, part.shape
+    if shape.rigid or m.density * 9.81 * shape.length <= MAX_SELF_WEIGHT * m.young:
+        return np.zeros(0, np.int64)
+    return np.setdiff1d(np.arange(len(shape.vertices)), shape.surface)
 
 
 @ti.data_oriented
 class ContactSamples:
-    """Surface samples of all bodies on the device.
+    """Samples of all bodies on the device.
 
     ids vec3i[P] global vertex indices;   weight vec3[P];   body i32[P];   skin f32[P] [m]
     of_vertex i32[V]: the sample that is vertex i, -1 for none;   on_vertex i32[P]: whether a sample is a vertex
@@ -148,7 +143,7 @@ class ContactSamples:
     def __init__(self, state: State, first: Model, spacing: float, capacity: Capacity):
         self.state, self.spacing = state, spacing
         count = sum(len(p.ids) for p in self._points(first))
-        inner = sum(len(p.shape.once(inner_of).ids) for p in first.bodies if collapses(p))
+        inner = sum(len(inner_of(p)) for p in first.bodies)
         self.capacity = round_up_capacity(capacity.sized("samples", count + inner))
         group = self._group = FieldGroup()
         with group.interleaved(self.capacity):
@@ -175,11 +170,12 @@ class ContactSamples:
         skins = [s.once(skin_of, self.spacing) for s in model.shapes]
         left = self.capacity - sum(len(p.ids) for p in points)
         for k, part in enumerate(model.bodies):
-            inner = part.shape.once(inner_of)
-            if collapses(part) and len(inner.ids) <= left:
-                left -= len(inner.ids)
-                points[k] = points[k].joined(inner)
-                skins[k] = np.r_[skins[k], np.zeros(len(inner.ids))]
+            inner = inner_of(part)
+            if 0 < len(inner) <= left:
+                left -= len(inner)
+                added = points_at(inner)
+                points[k] = SurfacePoints(np.r_[points[k].ids, added.ids], np.r_[points[k].weights, added.weights])
+                skins[k] = np.r_[skins[k], np.zeros(len(inner))]
         ids = [p.ids + o for p, o in zip(points, model.vertex_begin, strict=False)]
         self.host_ids, self.host_weights = stacked(ids, 3), stacked([p.weights for p in points], 3)
         on_vertex = self.host_weights[:, 0] == 1.0
@@ -198,7 +194,7 @@ class ContactSamples:
     def set_vertices(self, p, r, constraints: ti.template()):
         """Make the vertices of sample p the first three of constraint r."""
         for k in ti.static(range(3)):
-            constraints.set_vertex(r, k, self.ids[p][k], self.weight[p][k])
+            constraints.vertex[r, k], constraints.coefficient[r, k] = self.ids[p][k], self.weight[p][k]
 
 
 @ti.data_oriented
@@ -267,10 +263,7 @@ class QueryPoints:
     @ti.func
     def is_finger(self, p):
         """True if point p is a sample of a finger."""
-        result = False
-        if ti.static(self.has_fingers):
-            result = p >= self.first_finger
-        return result
+        return p >= self.first_finger if ti.static(self.has_fingers) else False
 
     @ti.func
     def position(self, p, searching: ti.template()):
@@ -287,7 +280,7 @@ class QueryPoints:
 
     @ti.func
     def spares(self, p, body):
-        """True if point p is of a hand that passes through a body."""
+        """True if point p belongs to a hand that passes through this body."""
         result = False
         if ti.static(self.has_fingers):  # noqa: SIM102
             if self.is_finger(p):
@@ -300,7 +293,7 @@ class QueryPoints:
         n, g = self.samples.count[None], 0
         if self.is_finger(p):
             if ti.static(self.has_fingers):
-                g = STATIC_GROUPS + self.fingers.capsule_of(p - self.first_finger)
+                g = STATIC_GROUPS + (p - self.first_finger) // SAMPLES_PER_CAPSULE
         elif p < n:
             g = self.samples.body[p]
         else:
@@ -330,10 +323,7 @@ class QueryPoints:
 
     @ti.func
     def box(self, g):
-        """Box of group g's points [m], low and high, and of their velocities [m/s], v_min and v_max.
-
-        A finger's box is that of all that it can touch until the next search, and does not move.
-        """
+        """Boxes of group g's points [m] and velocities [m/s]; a finger's, at rest, holds all that it can touch."""
         low, high, v_min, v_max = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         if g < MAX_BODIES:
             low, high = self.bounds.low[g], self.bounds.high[g]

@@ -55,7 +55,7 @@ class FingerCapsules:
 
     def reset(self) -> None:
         """Forget all capsules."""
-        self.before = self.last = np.zeros((self.hands, CAPSULES_PER_HAND, 7))  # at begin and end of the frame
+        self.before = self.now = np.zeros((self.hands, CAPSULES_PER_HAND, 7))  # at begin and end of the frame
         self.present = False
         self.radius.fill(0.0)
         self.low.fill(NOWHERE)
@@ -70,12 +70,12 @@ class FingerCapsules:
         """
         if not self.present and not any(hand is not None and hand.touch for hand in hands):
             return
-        now = np.stack([capsules_of(hands[h] if h < len(hands) else None) for h in range(self.hands)])
+        before = self.now
+        now = self.now = np.stack([capsules_of(h) for h in [*hands, *[None] * self.hands][: self.hands]])
         self.present = bool(now[..., 6].any())
-        before, self.last = self.last, now
         if not self.present:
             return
-        motion = np.linalg.norm((now - before)[..., :6].reshape(*now.shape[:2], 2, 3), axis=-1).max(-1)
+        motion = np.linalg.norm(capsule_ends(now) - capsule_ends(before), axis=-1).max(-1)
         new = (motion > MAX_FINGER_SPEED * dt) | (before[..., 6] == 0.0)
         self.before = before = np.where(new[..., None], now, before)
         length = np.linalg.norm(now[..., 3:6] - now[..., :3], axis=-1)
@@ -87,16 +87,11 @@ class FingerCapsules:
 
     def may_touch(self, low: np.ndarray, high: np.ndarray) -> bool:
         """Return whether a capsule may touch one of these boxes (B, 3) [m] in the frame that has begun."""
-        there = self.last[..., 6] > 0.0
-        ends = np.concatenate([capsule_ends(self.before), capsule_ends(self.last)], axis=2)[there]
-        margin = self.last[there][:, None, 6:] + CONTACT_MARGIN
+        there = self.now[..., 6] > 0.0
+        ends = np.concatenate([capsule_ends(self.before), capsule_ends(self.now)], axis=2)[there]
+        margin = self.now[there][:, None, 6:] + CONTACT_MARGIN
         apart = np.maximum(low - ends.max(1, keepdims=True), ends.min(1, keepdims=True) - high) - margin
         return bool((apart.max(-1) <= 0.0).any())
-
-    @ti.func
-    def capsule_of(self, p):
-        """Capsule of sample p."""
-        return p // SAMPLES_PER_CAPSULE
 
     @ti.func
     def speed_of(self, p):
@@ -126,11 +121,6 @@ class FingerCapsules:
             self.overlaps[p // SAMPLES_PER_HAND] = 1
 
     @ti.func
-    def max_force_on(self, p, mu):
-        """Greatest force [N] of sample p on a soft body of shear modulus mu [Pa]."""
-        return ti.min(MAX_SAMPLE_FORCE, YOUNG_PER_MU * mu * self.radius[p] ** 2)
-
-    @ti.func
     def set_push(self, r, p, max_force, constraints: ti.template()):
         """Let sample p push in constraint r, with at most max_force [N]."""
         k, n = r - constraints.first_finger, ti.cast(self.state.substeps[None], ti.f32)
@@ -138,21 +128,15 @@ class FingerCapsules:
         constraints.max_force[k] = max_force * self.limit[p // SAMPLES_PER_HAND]
 
     @ti.func
-    def may_meet(self, c, low, high):
-        """True if capsule c may enter a box before the next search."""
-        return gap_of_boxes(self.low[c], self.high[c], low, high) <= 0.0
-
-    @ti.kernel
     def sweep(self):
-        """Boxes of the capsules until the next search; the bounds, up to date, of bodies that they may push widen."""
+        """Boxes of the capsules until the next search; they widen the bounds of bodies. Outermost level of a kernel."""
         s = self.state
         f, part = self.elapsed(True), s.detect_dt[None] / (s.dt[None] * ti.cast(s.substeps[None], ti.f32))
         for h in range(self.hands):
             self.speed[h] = 0.0
         for c in range(self.capsules):
             low, high, speed, reach = vec3(NOWHERE), vec3(-NOWHERE), 0.0, 0.0
-            for k in range(SAMPLES_PER_CAPSULE):
-                p = c * SAMPLES_PER_CAPSULE + k
+            for p in range(c * SAMPLES_PER_CAPSULE, (c + 1) * SAMPLES_PER_CAPSULE):
                 if self.radius[p] > 0.0:
                     a = self.start[p] + f * self.displacement[p]
                     b = a + part * self.displacement[p]
@@ -167,9 +151,8 @@ class FingerCapsules:
                 box = self.bounds
                 margin, gain = box.max_speed[b] * s.detect_dt[None] + CONTACT_MARGIN, 0.0
                 for c in range(self.capsules):
-                    if self.may_meet(c, box.low[b] - margin, box.high[b] + margin):
-                        speed = self.speed[c // CAPSULES_PER_HAND]
-                        gain = ti.max(gain, speed + MAX_RECOVERY_SPEED)
+                    if gap_of_boxes(self.low[c], self.high[c], box.low[b] - margin, box.high[b] + margin) <= 0.0:
+                        gain = ti.max(gain, self.speed[c // CAPSULES_PER_HAND] + MAX_RECOVERY_SPEED)
                 box.v_min[b] -= gain
                 box.v_max[b] += gain
                 box.speed_gain[b] += gain
@@ -183,8 +166,7 @@ def capsules_of(hand: Hand | None) -> np.ndarray:
         for row, touch in zip(table, hand.touch, strict=False):
             values = np.array([*touch.a, *touch.b, touch.radius], np.float64)
             if np.isfinite(values).all() and touch.radius > 0.0:
-                row[:] = values
-                row[6] = np.clip(touch.radius, MIN_RADIUS, MAX_RADIUS)
+                row[:] = [*values[:6], np.clip(touch.radius, MIN_RADIUS, MAX_RADIUS)]
     return table
 
 

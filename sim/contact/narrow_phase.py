@@ -8,7 +8,8 @@ from core.fields import FieldGroup
 from sim.contact.broad_phase import SelfCollision
 from sim.contact.constraints import ContactConstraints, ContactForces
 from sim.contact.contact_samples import ContactSamples, QueryPoints
-from sim.contact.nearest_tet import NearestTets, deformed_gradient, rest_coordinates
+from sim.contact.finger_capsules import MAX_SAMPLE_FORCE, YOUNG_PER_MU
+from sim.contact.nearest_tet import NearestTets, rest_coordinates
 from sim.contact.response import CONTACT_STIFFNESS, contact_impulse, isotropic_contact_impulse, min_normal_motion
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known
 from sim.model import MAX_BODIES, Capacity, Model, fit
@@ -28,10 +29,9 @@ class StaticContact:
     A vertex meets them at once and exactly, one after the other; a point on a triangle becomes a contact constraint
     (sim/contact/constraints.py).
 
-    near i32[P,8]: shapes near sample p, near_count i32[P].
-
-    Of a substep of VBD: contact_count i32[P], shapes that sample p may touch, and of each phi f32[P,8] [m], normal
-    vec3[P,8], friction vec2[P,8] = (mu_s, mu_k). The sweeps read these: they are the same in all of them.
+    near i32[P,8]: shapes near sample p;   near_count i32[P]
+    Of a substep of VBD, the same in all its sweeps: contact_count i32[P], shapes that sample p may touch, and of each
+    phi f32[P,8] [m], normal vec3[P,8], friction vec2[P,8] = (mu_s, mu_k).
     """
 
     def __init__(self, samples: ContactSamples, shapes, bounds, constraints: ContactConstraints, forces: ContactForces):
@@ -194,7 +194,6 @@ class DeformableContact:
     def __init__(
         self, first: Model, points: QueryPoints, self_collision: SelfCollision | None, begin: int, capacity: Capacity
     ):
-        """Begin: the first constraint."""
         self.self_collision, self.self_collides = self_collision, self_collision is not None
         self.state, self.samples, self.bounds, self.begin = points.state, points.samples, points.bounds, begin
         self.fingers, self.has_fingers, self.capsules = points.fingers, points.has_fingers, points.capsules
@@ -246,10 +245,10 @@ class DeformableContact:
         the weights b in the tet; the rest position X [m], and how far [m] that is outside the body's grid.
         """
         phi, normal, beyond = UNKNOWN_DISTANCE, vec3(0.0), 0.0
-        thick, b, X, g1, g2, g3, E1, E2, E3 = rest_coordinates(self.state, t, x)
+        thick, b, X, G, E = rest_coordinates(self.state, t, x)
         if thick:
             rest_phi, N, beyond = self.grids.extrapolated(self.state.body_of_tet[t], X)
-            gradient = deformed_gradient(N, g1, g2, g3, E1, E2, E3)
+            gradient = G @ (E.transpose() @ N)
             length = gradient.norm()
             if known(rest_phi) and length > 0.0:
                 phi, normal = rest_phi * N.norm() / length, gradient / length
@@ -294,16 +293,13 @@ class DeformableContact:
 
     @ti.func
     def set_host(self, r, first, t, b, normal, constraints: ti.template()):
-        """Make the corners of tet t, with weights b, the last vertices of constraint r, from its `first`.
-
-        Returns what of the distance their x_lo take [m].
-        """
+        """Make tet t, with weights b, the last vertices of row r; returns what their x_lo take of the distance [m]."""
         s = self.state
         a, weight, low = s.tets[t], ti.max(b, 0.0), 0.0
         weight /= weight.sum()
         for j in ti.static(range(4)):
             low += weight[j] * normal.dot(s.x_lo[a[j]])
-            constraints.set_vertex(r, first + j, a[j], -weight[j])
+            constraints.vertex[r, first + j], constraints.coefficient[r, first + j] = a[j], -weight[j]
         constraints.set_vertex_count(r, first + 4)
         return low
 
@@ -320,7 +316,6 @@ class DeformableContact:
             first = 3
             if ti.static(constraints.coupled):
                 body = self.samples.body[p]
-                constraints.body_count[r] = 0
                 if constraints.rigid_bodies.kind[body] != 0:
                     constraints.set_body(r, 0, body, self.samples.blend(p, s.x), 1.0)
                     constraints.body_count[r], first = 1, 0
@@ -328,9 +323,8 @@ class DeformableContact:
             if ti.static(self.has_fingers):
                 q = p - self.hosts.points.first_finger
                 phi -= self.fingers.radius[q]  # skin has a coefficient of friction of 1
-                self.fingers.set_push(r, q, self.fingers.max_force_on(q, s.mu[host]), constraints)
-            if ti.static(constraints.coupled):
-                constraints.body_count[r] = 0
+                softest = YOUNG_PER_MU * s.mu[host] * self.fingers.radius[q] ** 2
+                self.fingers.set_push(r, q, ti.min(MAX_SAMPLE_FORCE, softest), constraints)
         else:
             k = p - self.samples.count[None]
             phi -= self.capsules.radius[k]

@@ -14,6 +14,7 @@ from taichi.math import vec3
 from core.fields import FieldGroup, Upload
 from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vector_from_lane, vote
 from core.morton import morton_order
+from core.tetmesh import shared_face_pairs
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, SelfCollision, outside_box
 from sim.contact.contact_samples import QueryPoints
 from sim.contact.static_shapes import UNKNOWN_DISTANCE
@@ -28,11 +29,10 @@ VISITORS = 8  # threads that share the cells near a tet that may meet a point, o
 
 
 @ti.func
-def tet_edges(s: ti.template(), t):
-    """Corner 0 of tet t of the state s, and the edges from it [m]."""
-    a = s.tets[t]
-    x0 = s.x[a[0]]
-    return x0, s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
+def tet_edges(field: ti.template(), a):
+    """Corner 0 of a tet with vertices a, in a field of positions, and the edges from it [m]."""
+    x0 = field[a[0]]
+    return x0, field[a[1]] - x0, field[a[2]] - x0, field[a[3]] - x0
 
 
 @ti.func
@@ -43,19 +43,16 @@ def face_normals(e1, e2, e3):
 
 
 @ti.func
-def distance_outside(r, e1, n0, n1, n2, n3):
-    """Distance [m] of r, relative to corner 0, beyond the worst face plane: 0 inside, a lower bound outside."""
-    return ti.max(n0.dot(r - e1), n1.dot(r), n2.dot(r), n3.dot(r), 0.0)
-
-
-@ti.func
 def worst_face(r, e1, n0, n1, n2, n3):
-    """Unit normal of the face plane beyond which r, relative to corner 0, is farthest, or least inside."""
+    """The face plane beyond which r, relative to corner 0, is farthest, or least inside.
+
+    Returns how far [m] beyond it, 0 inside (a lower bound of the distance from the tet), and its unit normal.
+    """
     worst, normal = n0.dot(r - e1), n0
     for n in ti.static((n1, n2, n3)):
         if n.dot(r) > worst:
             worst, normal = n.dot(r), n
-    return normal
+    return ti.max(worst, 0.0), normal
 
 
 @ti.func
@@ -74,13 +71,11 @@ def tet_of_key(key):
 def rest_coordinates(s: ti.template(), t, x):
     """Barycentric and rest coordinates of the point x in tet t of the state s.
 
-    Returns whether the tet has enough volume for them; the weights b (4,); the rest position X [m]; the gradients g_j
-    of b_1..b_3 [1/m] and the rest edges E_j [m], by which `deformed_gradient` maps gradients.
+    Returns whether the tet has enough volume for them; the weights b (4,); the rest position X [m]; and as columns the
+    gradients G of b_1..b_3 [1/m] and the rest edges E [m]: a gradient N at rest becomes F^-T N = G E^T N.
     """
-    a = s.tets[t]
-    x0, X0 = s.x[a[0]], s.rest[a[0]]
-    e1, e2, e3 = s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
-    E1, E2, E3 = s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0
+    x0, e1, e2, e3 = tet_edges(s.x, s.tets[t])
+    X0, E1, E2, E3 = tet_edges(s.rest, s.tets[t])
     det = e1.dot(e2.cross(e3))
     g1, g2, g3, X = E1, E2, E3, X0
     b = ti.Vector([1.0, 0.0, 0.0, 0.0])
@@ -91,13 +86,7 @@ def rest_coordinates(s: ti.template(), t, x):
         b1, b2, b3 = g1.dot(d), g2.dot(d), g3.dot(d)
         b = ti.Vector([1.0 - b1 - b2 - b3, b1, b2, b3])
         X = X0 + b1 * E1 + b2 * E2 + b3 * E3
-    return thick, b, X, g1, g2, g3, E1, E2, E3
-
-
-@ti.func
-def deformed_gradient(N, g1, g2, g3, E1, E2, E3):
-    """F^-T N = sum_j g_j (E_j . N): a gradient N in the rest shape, carried to the deformed one."""
-    return g1 * E1.dot(N) + g2 * E2.dot(N) + g3 * E3.dot(N)
+    return thick, b, X, ti.Matrix.cols([g1, g2, g3]), ti.Matrix.cols([E1, E2, E3])
 
 
 @ti.func
@@ -194,7 +183,7 @@ class NearestTets:
     def load(self, model: Model) -> None:
         """Take the tets of these bodies."""
         shapes, begin = model.shapes, model.tet_begin
-        near = [s.root.once(neighbors_of) for s in shapes]
+        near = [s.root.once(tet_neighbors) for s in shapes]
         near = stacked([np.where(n < 0, n, n + o) for n, o in zip(near, begin, strict=False)], 4)
         edges = [s.edge for s in shapes if len(s.tets)]  # a rigid body's would make cells that hold all points
         edge = float(np.median(edges)) if edges else 0.0
@@ -263,7 +252,7 @@ class NearestTets:
         """Put the points of the groups that bodies come near into the hash. Outermost level of a kernel."""
         s, h = self.state, self.hash
         for bucket in range(h.buckets):
-            h.clear(bucket)
+            h.size[bucket] = 0
         for p in range(h.points):
             self.key[p] = ti.i64(NO_TET)
             if self._searches(p):
@@ -330,9 +319,12 @@ class NearestTets:
         The lanes of a warp, which have tets close to one another, look at each point near any of these together: cell
         by cell of the box around all of their boxes, until each lane has found a point or all points have been seen.
         """
-        h = self.hash
+        s, h = self.state, self.hash
         lanes = ti.static(self.lanes)
-        tet = self._outline(t)
+        tet = TetOutline(body=-1, low=vec3(UNKNOWN_DISTANCE), high=vec3(-UNKNOWN_DISTANCE), max_distance=0.0)
+        if t >= 0:
+            tet.body = s.body_of_tet[t]
+            tet.low, tet.high, tet.max_distance = self._reach(t)
         low, high = tet.low, tet.high
         for axis in ti.static(range(3)):
             low[axis] = from_lane(-max_lanes(-tet.low[axis], lanes), 0, lanes)
@@ -340,8 +332,12 @@ class NearestTets:
         searches, found = tet.max_distance > 0.0, False
         searching = vote(searches, lanes)
         if searching != 0:
-            if searches:
-                self._add_spheres(tet, t)
+            if ti.static(self.self_collides):  # noqa: SIM102
+                if searches:
+                    distance = self.self_collision.min_rest_distance(tet.body)
+                    tet.rest, tet.rest_radius = neighborhood(s, t, distance)
+                    tet.center, tet.radius = bounding_sphere(s.x, s.tets[t])
+                    tet.velocity, tet.speed_radius = bounding_sphere(s.v, s.tets[t])
             first, last = h.cell_range(low, high)
             cells, cell = last - first, 0
             count = cells.x * cells.y * cells.z
@@ -395,31 +391,6 @@ class NearestTets:
         return result
 
     @ti.func
-    def _outline(self, t):
-        """Outline of tet t, or of none (-1), without its spheres."""
-        body, low, high, max_distance = -1, vec3(UNKNOWN_DISTANCE), vec3(-UNKNOWN_DISTANCE), 0.0
-        if t >= 0:
-            body = self.state.body_of_tet[t]
-            low, high, max_distance = self._reach(t)
-        return TetOutline(body=body, low=low, high=high, max_distance=max_distance)
-
-    @ti.func
-    def _add_spheres(self, tet: ti.template(), t):
-        """Set the spheres of the outline of tet t."""
-        s = self.state
-        tet.rest, tet.rest_radius = self._neighborhood(t)
-        tet.center, tet.radius = bounding_sphere(s.x, s.tets[t])
-        tet.velocity, tet.speed_radius = bounding_sphere(s.v, s.tets[t])
-
-    @ti.func
-    def _neighborhood(self, t):
-        """`neighborhood` of tet t."""
-        distance = 0.0
-        if ti.static(self.self_collides):
-            distance = self.self_collision.min_rest_distance(self.state.body_of_tet[t])
-        return neighborhood(self.state, t, distance)
-
-    @ti.func
     def _bucket(self, first, cells, k):
         """Bucket of the k-th cell of a box of cells."""
         h = self.hash
@@ -427,14 +398,11 @@ class NearestTets:
 
     @ti.func
     def _visit(self, t, visitor):
-        """Offer tet t to the points near it that it can meet until the next search; the lowest (distance, t) wins.
-
-        Each visitor looks at some of the cells near it.
-        """
+        """Offer tet t to what it can meet in a visitor's share of the cells; the lowest (distance, t) wins."""
         s, h = self.state, self.hash
         body = s.body_of_tet[t]
         box_low, box_high, max_distance = self._reach(t)
-        x0, e1, e2, e3 = tet_edges(s, t)
+        x0, e1, e2, e3 = tet_edges(s.x, s.tets[t])
         if max_distance > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
             n0, n1, n2, n3 = face_normals(e1, e2, e3)
             first, last = h.cell_range(box_low, box_high)
@@ -444,9 +412,8 @@ class NearestTets:
                 for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
                     x = h.position[e]
                     if outside_box(box_low, box_high, x) <= 0.0:
-                        outside = distance_outside(x - x0, e1, n0, n1, n2, n3)
-                        if outside < max_distance:
-                            face = worst_face(x - x0, e1, n0, n1, n2, n3)
+                        outside, face = worst_face(x - x0, e1, n0, n1, n2, n3)
+                        if outside < max_distance:  # noqa: SIM102
                             if self._may_meet(e, t, body, outside, face):
                                 ti.atomic_min(self.key[h.entry[e]], tet_key(outside, t))
                 cell += self.visitors
@@ -505,19 +472,16 @@ class NearestTets:
     @ti.func
     def _outside(self, t, x):
         """Distance [m] of x beyond the worst face of tet t, 0 inside; UNKNOWN_DISTANCE if the tet is inverted."""
-        x0, e1, e2, e3 = tet_edges(self.state, t)
+        x0, e1, e2, e3 = tet_edges(self.state.x, self.state.tets[t])
         result = UNKNOWN_DISTANCE
         if e1.dot(e2.cross(e3)) > 0.0:
             n0, n1, n2, n3 = face_normals(e1, e2, e3)
-            result = distance_outside(x - x0, e1, n0, n1, n2, n3)
+            result, _face = worst_face(x - x0, e1, n0, n1, n2, n3)
         return result
 
     @ti.func
     def _may_meet(self, e, t, body, outside, face):
-        """True if tet t of a body may meet the point of entry e until the next search.
-
-        outside  distance [m] of the point from the tet, which is that beyond the face of this normal
-        """
+        """True if tet t may meet the point of entry e, `outside` [m] beyond its face of this normal, before long."""
         p, x = self.hash.entry[e], self.hash.position[e]
         result = self.max_approach[body, self.entry_group[e]] > 0.0
         if ti.static(self.has_fingers):  # noqa: SIM102
@@ -528,7 +492,7 @@ class NearestTets:
             if self.entry_group[e] == body:
                 s = self.state
                 a = s.tets[t]
-                rest, rest_radius = self._neighborhood(t)
+                rest, rest_radius = neighborhood(s, t, self.self_collision.min_rest_distance(body))
                 result = result and outside_sphere(self.entry_rest[e], rest, rest_radius) > 0.0
                 part = self.self_collision.part[a[0]]
                 result = result and (part < 0 or part != self.self_collision.part[self.samples.ids[p][0]])
@@ -541,23 +505,15 @@ class NearestTets:
         return result
 
 
-def neighbors_of(shape: RestShape) -> np.ndarray:
-    """Neighbours of the tets of a rest shape, (T, 4) int32."""
-    return tet_neighbors(shape.tets)
-
-
 def compact_runs(shape: RestShape, length: int) -> np.ndarray:
     """The tets of a rest shape in runs of this length, each of nearby tets; the last run is filled up with -1."""
     order = morton_order(shape.vertices[shape.tets].mean(axis=1))
     return np.concatenate([order, np.full(-len(order) % length, -1)])
 
 
-def tet_neighbors(tets: np.ndarray) -> np.ndarray:
-    """Tet across the face opposite each corner, -1 at the surface, (T, 4) int32."""
-    faces = np.sort(tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
-    order = np.lexsort(faces.T)
-    same = (faces[order[1:]] == faces[order[:-1]]).all(1)
-    result = np.full(4 * len(tets), -1, np.int32)
-    a, b = order[:-1][same], order[1:][same]
+def tet_neighbors(shape: RestShape) -> np.ndarray:
+    """Tet across the face opposite each corner of a rest shape's tets, -1 at the surface, (T, 4) int32."""
+    result = np.full(4 * len(shape.tets), -1, np.int32)
+    a, b = shared_face_pairs(shape.tets).T
     result[a], result[b] = b // 4, a // 4
     return result.reshape(-1, 4)

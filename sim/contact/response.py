@@ -119,13 +119,6 @@ def fingertip_spring(phi, dt):
 
 
 @ti.func
-def angular_inv_mass(arm, n, inverse_inertia):
-    """(r x n) I^-1 (r x n) [1/kg]: the part of the inverse effective mass along n that a lever arm r adds."""
-    a = arm.cross(n)
-    return a.dot(inverse_inertia @ a)
-
-
-@ti.func
 def inverse_mass_matrix(arm, inv_mass, inverse_inertia):
     """1/m - [r] I^-1 [r] [1/kg]: the motion of a body's point at lever arm r for a unit impulse there, (3, 3)."""
     cross = ti.Matrix([[0.0, -arm.z, arm.y], [arm.z, 0.0, -arm.x], [-arm.y, arm.x, 0.0]])

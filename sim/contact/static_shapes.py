@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 import taichi as ti
@@ -142,9 +143,9 @@ def distinct(grids: list[DistanceGrid]) -> list[DistanceGrid]:
 
 
 def rest_grid(vertices: np.ndarray, tets: np.ndarray, surface: np.ndarray, *, nodes: int = 48) -> DistanceGrid:
-    """Distance grid [m] of a cage (V, 3), (T, 4), (S, 3) with about `nodes` nodes along its longest side.
+    """Distance grid [m], negative inside, of a cage (V, 3), (T, 4), (S, 3): about `nodes` nodes along its longest side.
 
-    Exact within EXACT_BAND nodes of the surface, grown from there by the distance between nodes; negative in the tets.
+    Exact within EXACT_BAND nodes of the surface; beyond, the distance to the nearest such node is added.
     """
     x = np.asarray(vertices, np.float32)
     spacing = float(np.ptp(x, axis=0).max()) / nodes
@@ -263,29 +264,24 @@ class StaticShapes:
 
     def place(self, shapes: list[Shape]) -> None:
         """Move the shapes: these are the same ones as at first, in other places."""
-        gridded = 0
+        grids = count()
         for k, shape in enumerate(shapes):
-            self._put(k, shape, gridded)
-            gridded += isinstance(shape, StaticGrid)
-
-    def _put(self, k: int, shape: Shape, grid: int) -> None:
-        if isinstance(shape, Plane):
-            kind, a, b = PLANE, shape.point, np.asarray(shape.normal) / np.linalg.norm(shape.normal)
-        elif isinstance(shape, Capsule):
-            kind, a, b = CAPSULE, shape.a, shape.b
-            self.radius[k] = float(shape.radius)
-        elif isinstance(shape, Box):
-            kind, a, b = BOX, shape.center, shape.half_size
-        elif isinstance(shape, StaticGrid):
-            kind, a, b = GRID, shape.position, (0, 0, 0)
-            self.grid[k], self.scale[k] = grid, float(shape.scale)
-            self.frame[k] = rotation_of(shape).T.tolist()
-        else:
-            raise TypeError(f"not a static shape: {shape!r}")
-        self.kind[k], self.friction[k] = kind, float(shape.friction)
-        low, high = bounding_box(shape)
-        for field, value in ((self.a, a), (self.b, b), (self.low, low), (self.high, high)):
-            field[k] = [float(c) for c in value]
+            match shape:
+                case Plane():
+                    kind, a, b = PLANE, shape.point, np.asarray(shape.normal) / np.linalg.norm(shape.normal)
+                case Capsule():
+                    kind, a, b = CAPSULE, shape.a, shape.b
+                    self.radius[k] = float(shape.radius)
+                case Box():
+                    kind, a, b = BOX, shape.center, shape.half_size
+                case StaticGrid():
+                    kind, a, b = GRID, shape.position, (0, 0, 0)
+                    self.grid[k], self.scale[k] = next(grids), float(shape.scale)
+                    self.frame[k] = matrices_from_quaternions(shape.rotation).T.tolist()
+            self.kind[k], self.friction[k] = kind, float(shape.friction)
+            low, high = bounding_box(shape)
+            for field, value in ((self.a, a), (self.b, b), (self.low, low), (self.high, high)):
+                field[k] = [float(c) for c in value]
 
     @ti.func
     def distance_within(self, k, p, margin):
@@ -315,25 +311,17 @@ class StaticShapes:
         elif kind == BOX:
             phi, normal = box_distance(p - a, b)
         else:
-            phi, normal = self._grid_distance(k, p)
+            g = self.grid[k]
+            value, gradient = self.grids.sample(g, self._to_grid(k, p))
+            length = gradient.norm()
+            if value > -MAX_DEPTH * self.grids.spacing[g] and length > 0.0:
+                phi = self.scale[k] * value
+                normal = self.frame[k].transpose() @ gradient / length
         return phi, normal
 
     @ti.func
     def _to_grid(self, k, p):
         return self.frame[k] @ (p - self.a[k]) / self.scale[k]
-
-    @ti.func
-    def _grid_distance(self, k, p):
-        g = self.grid[k]
-        phi, gradient = self.grids.sample(g, self._to_grid(k, p))
-        length = gradient.norm()
-        normal = vec3(0.0)
-        if phi > -MAX_DEPTH * self.grids.spacing[g] and length > 0.0:
-            phi *= self.scale[k]
-            normal = self.frame[k].transpose() @ gradient / length
-        else:
-            phi = UNKNOWN_DISTANCE
-        return phi, normal
 
 
 def placed(shape: Shape, pose: np.ndarray) -> Shape:
@@ -345,7 +333,7 @@ def placed(shape: Shape, pose: np.ndarray) -> Shape:
 
     match shape:
         case StaticGrid():
-            q = quaternions_from_matrices(R @ rotation_of(shape))
+            q = quaternions_from_matrices(R @ matrices_from_quaternions(shape.rotation))
             return replace(shape, rotation=tuple(q.tolist()), position=at(shape.position))
         case Plane():
             return replace(shape, point=at(shape.point), normal=tuple((R @ np.asarray(shape.normal)).tolist()))
@@ -354,11 +342,6 @@ def placed(shape: Shape, pose: np.ndarray) -> Shape:
     if np.abs(R - np.eye(3)).max() > 1e-9:
         raise BadInput("a room with a box for a collider cannot be turned")
     return replace(shape, center=at(shape.center))
-
-
-def rotation_of(shape: StaticGrid) -> np.ndarray:
-    """Rotation of a grid's frame in the world, (3, 3)."""
-    return matrices_from_quaternions(np.asarray(shape.rotation, np.float64)[None])[0]
 
 
 def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
@@ -371,7 +354,7 @@ def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
         return np.subtract(shape.center, shape.half_size), np.add(shape.center, shape.half_size)
     origin = np.asarray(shape.grid.origin, np.float64)
     ends = np.stack(np.meshgrid(*zip(origin, shape.grid.upper, strict=True), indexing="ij"), -1).reshape(-1, 3)
-    world = shape.scale * ends @ rotation_of(shape).T + np.asarray(shape.position)
+    world = shape.scale * ends @ matrices_from_quaternions(shape.rotation).T + np.asarray(shape.position)
     return world.min(0), world.max(0)
 
 
@@ -415,7 +398,7 @@ class LineOfSight:
     def hides(self, origin, direction, distance: float) -> bool:
         """True if an obstacle lies between an eye and a point at `distance` [m] along a ray.
 
-        What the eye itself is in does not count.
+        A shape that the eye itself is inside does not count.
         """
         origin, direction = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
         points = line(origin, origin + distance * direction / np.linalg.norm(direction))
@@ -427,7 +410,7 @@ class LineOfSight:
     def ground(self, point) -> float | None:
         """Height [m] of what lies below a point, table or floor; None if nothing is near.
 
-        It is that below most places around: what stands there, and may be what one looks at, is no ground.
+        The median of places around it, so that an object that stands there is not taken for ground.
         """
         x, y, z = np.asarray(point, np.float64)
         around = [(x + GROUND_RADIUS * np.cos(a), y, z + GROUND_RADIUS * np.sin(a)) for a in GROUND_ANGLES]
@@ -463,7 +446,7 @@ def within(shape: Shape, points: np.ndarray) -> np.ndarray:
         return np.linalg.norm(points - shape.a - along[:, None] * axis, axis=1) < shape.radius - TOLERANCE
     if isinstance(shape, Box):
         return (np.abs(points - shape.center) < np.asarray(shape.half_size) - TOLERANCE).all(1)
-    local = (points - shape.position) @ rotation_of(shape) / shape.scale
+    local = (points - shape.position) @ matrices_from_quaternions(shape.rotation) / shape.scale
     grid, result = shape.grid, np.zeros(len(points), bool)
     known = ((local >= grid.origin) & (local <= grid.upper)).all(1)
     tolerance = max(TOLERANCE / shape.scale, GRID_TOLERANCE * grid.spacing)

@@ -35,7 +35,6 @@ class FingerContact:
     def __init__(
         self, capsules: FingerCapsules, constraints: ContactConstraints, begin: int, shapes: RigidShapes | None
     ):
-        """Shapes: None without rigid bodies."""
         self.state, self.capsules, self.bounds = capsules.state, capsules, capsules.bounds
         self.constraints, self.begin = constraints, begin
         self.shapes, self.coupled = shapes, shapes is not None
@@ -61,14 +60,11 @@ class FingerContact:
         if was_present and not self.capsules.present:
             self.reset()
 
-    def begin_search(self) -> None:
-        """Find the capsules' boxes, and how hard they may press. The bodies' bounds must be up to date."""
-        self.capsules.sweep()
-        self._limit_forces()
-
     @ti.kernel
-    def _limit_forces(self):
+    def begin_search(self):
+        """Find the capsules' boxes, and limit each hand's force; the bodies' bounds must be up to date."""
         f = self.capsules
+        f.sweep()
         for h in range(self.hands):
             self.pressed[h] = 0
         for p in range(self.count):
@@ -76,7 +72,8 @@ class FingerContact:
             if strength > 0.0:
                 ti.atomic_add(self.pressed[p // SAMPLES_PER_HAND], ti.cast(strength / FORCE_STEP, ti.i64))
         for h in range(self.hands):
-            self._limit(h)
+            pressed = ti.cast(self.pressed[h], ti.f32) * FORCE_STEP
+            f.limit[h] = ti.min(f.limit[h] * MAX_HAND_FORCE / ti.max(pressed, 1e-3), 1.0)
             f.overlaps[h] = 0
             if f.held[h] >= 0:
                 f.spared[h] = f.held[h]
@@ -91,13 +88,6 @@ class FingerContact:
         for h in range(self.hands):
             if f.held[h] < 0 and f.overlaps[h] == 0:
                 f.spared[h] = -1
-
-    @ti.func
-    def _limit(self, h):
-        """Limit the force of all samples of a hand together to MAX_HAND_FORCE."""
-        pressed = ti.cast(self.pressed[h], ti.f32) * FORCE_STEP
-        limit = self.capsules.limit[h] * MAX_HAND_FORCE / ti.max(pressed, 1e-3)
-        self.capsules.limit[h] = ti.min(limit, 1.0)
 
     @ti.func
     def _find_rigid_body(self, p):

@@ -48,6 +48,7 @@ class Grasp:
     positions: np.ndarray
 
 
+Indices, Vectors = ti.types.ndarray(ti.i32, 1), ti.types.ndarray(ti.f32, 2)  # arguments of kernels
 PoseHistory = tuple[tuple[float, tuple[float, ...]], ...]  # ages [s] and poses (position, quaternion), oldest first
 
 
@@ -93,7 +94,7 @@ def extended(history: PoseHistory, dt: float, hand: Hand) -> PoseHistory:
 
 
 def find_grasp(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, weights: np.ndarray) -> Grasp | None:
-    """Grasp of a closing hand: the vertices within reach of the nearest body that is within reach itself.
+    """Grasp of a closing hand: vertices of the nearest body, if any is within reach.
 
     x (V, 3) are all vertices [m], of body b those from offsets[b] to offsets[b+1]; ids, weights (P, 3) the samples of
     the surfaces. A coarse mesh may have few vertices within reach, or none of the triangle that is touched.
@@ -109,7 +110,7 @@ def find_grasp(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, 
         own = ids[of_body] - first
         surface = np.linalg.norm(np.einsum("pk,pkc->pc", weights[of_body], mine[own]) - position, axis=1)
         nearest = min(distance.min(), surface.min(initial=np.inf))
-        if not (nearest <= reach and nearest < least):
+        if not (nearest <= reach and nearest < least):  # too far, or not finite
             continue
         taken = np.flatnonzero(distance <= reach)
         if len(taken) < MIN_GRASP_VERTICES:
@@ -133,10 +134,10 @@ def hand_motion(history: PoseHistory) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return poses[-1, :3], slopes[:3], slopes[3:]
 
 
-def throw_velocities(history, x: np.ndarray, v: np.ndarray, mass: np.ndarray, max_impulse: float) -> np.ndarray:
+def throw_velocities(history: PoseHistory, x: np.ndarray, v: np.ndarray, mass: np.ndarray) -> np.ndarray:
     """Change of the velocities v of a body's vertices at x, (V, 3), by which it moves on with the hand [m/s], (V, 3).
 
-    Its root mean square is at most `max_impulse` [N s] over the mass of the body: what the hand could have given it.
+    Its root mean square is at most what MAX_HAND_FORCE gives the body in THROW_WINDOW.
     """
     M = mass.sum()
     c, v_c = mass @ x / M, mass @ v / M
@@ -148,7 +149,7 @@ def throw_velocities(history, x: np.ndarray, v: np.ndarray, mass: np.ndarray, ma
     position, velocity, omega = hand_motion(history)
     change = velocity + np.cross(omega, c - position) - v_c + np.cross(omega - omega_body, r)
     size = np.sqrt(mass @ (change**2).sum(1) / M)
-    return change * min(1.0, max_impulse / M / max(size, 1e-12))
+    return change * min(1.0, MAX_HAND_FORCE * THROW_WINDOW / M / max(size, 1e-12))
 
 
 @ti.data_oriented
@@ -233,16 +234,16 @@ class Grasps:
         first, last = (int(o) for o in self.offsets[body : body + 2])
         if (part.inv_mass > 0.0).all():
             x, v = self._motion(last)[:, first:].astype(np.float64)
-            change = throw_velocities(history, x, v, part.mass, MAX_HAND_FORCE * THROW_WINDOW)
+            change = throw_velocities(history, x, v, part.mass)
             self._add(first, last - first, change.astype(np.float32))
 
     @ti.kernel
-    def _add(self, first: ti.i32, n: ti.i32, dv: ti.types.ndarray(ti.f32, 2)):
+    def _add(self, first: ti.i32, n: ti.i32, dv: Vectors):
         for i in range(n):
             self.state.v[first + i] += ti.Vector([dv[i, c] for c in range(3)])
 
     def _hold(self, h: int, grasp: Grasp | None) -> None:
-        """Let hand h hold this, or nothing, and no longer what it held."""
+        """Make hand h hold this, or nothing, in place of what it held."""
         self.grasps[h] = grasp
         count = 1 if grasp is None else len(grasp.vertices)  # Taichi takes no empty arrays
         vertices, positions = np.zeros(count, np.int32), np.zeros((count, 3), np.float32)
@@ -256,14 +257,7 @@ class Grasps:
         self._set_held(h, 0 if grasp is None else count, vertices, positions, strength)
 
     @ti.kernel
-    def _set_held(
-        self,
-        h: ti.i32,
-        count: ti.i32,
-        taken: ti.types.ndarray(ti.i32, 1),
-        positions: ti.types.ndarray(ti.f32, 2),
-        strength: ti.types.vector(3, ti.f32),
-    ):
+    def _set_held(self, h: ti.i32, count: ti.i32, taken: Indices, positions: Vectors, strength: ti.math.vec3):
         for i in self.held:
             self.held[i] &= ~(1 << h)
         self.mass[h], self.kappa[h], self.gamma[h] = strength[0], strength[1], strength[2]

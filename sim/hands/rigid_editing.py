@@ -21,7 +21,7 @@ from sim.state import State
 
 MIN_SCALE, MAX_SCALE = 0.25, 4.0  # times as large, in one go
 MIN_HAND_DISTANCE = 0.03  # [m]; hands that began closer together would scale by their trembling
-MIN_CHANGE = 0.02  # of the size; a smaller change was none
+MIN_CHANGE = 0.02  # of the size; smaller changes are ignored
 
 
 @dataclass
@@ -149,7 +149,7 @@ class RigidEditing:
 
     @ti.kernel
     def _keep(self, body: ti.i32):
-        """Place a body relative to where it is now, from now on."""
+        """Remember where a body is now: `_place` moves it from there."""
         s = self.state
         for i in range(s.V):
             if i < s.vertex_count[None] and s.body_of_vertex[i] == body:

@@ -23,7 +23,7 @@ from core.rotation import best_fit_rotation, matrices_from_quaternions, quaterni
 from sim.bodies import RigidBody
 from sim.contact.constraints import STEPS_PER_METER
 from sim.contact.contact_samples import ContactSamples, points_of
-from sim.contact.response import CONTACT_SLOP, angular_inv_mass
+from sim.contact.response import CONTACT_SLOP
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, box_distance
 from sim.elastic.substep import Constraint
 from sim.model import MAX_BODIES, BodyModel, Model, RestShape
@@ -46,7 +46,8 @@ class RigidBodies(Constraint):
     dx [m], rotation [rad], dx_predicted, rotation_predicted vec3: increments of the substep
     frame_x vec3, frame_q vec4, frame_displacement [m], frame_rotation [rad] vec3: where a driven body starts in this
     frame, how it moves and turns;   target vec8: 1 if it has one, at the end of the frame, and its position [m] and q
-    split_count i32[B] and corrections i64[B, 1+passes, 6]: of the constraints, as in sim/contact/constraints.py
+    split_count i32[B]: constraints, and groups of them, that share its mass;   corrections i64[B, 1+passes, 6]: of
+    these, as in sim/contact/constraints.py
     sweep i32[B]: sweeps so far of substep sweep_substep i32[B]
     """
 
@@ -71,9 +72,7 @@ class RigidBodies(Constraint):
         group.build()
         constants = [self.kind, self.center, self.inv_mass, self.restitution, self.max_step]
         self._constants = Upload([*constants, self.inertia, self.inverse_inertia])
-        self._motion = Upload(
-            [self.x, self.x_lo, self.v, self.v_lo, self.q, self.q_lo, self.angular_momentum],
-        )
+        self._motion = Upload([self.x, self.x_lo, self.v, self.v_lo, self.q, self.q_lo, self.angular_momentum])
         self._write_targets = Upload([self.target])
         self.bodies: list[BodyModel] = []
         self.targets: dict[int, tuple[np.ndarray, np.ndarray]] = {}
@@ -201,19 +200,10 @@ class RigidBodies(Constraint):
                 ti.atomic_add(self.corrections[b, j, 3 + c], ti.cast(rotation[c], ti.i64))
 
     @ti.func
-    def count_split(self, b):
-        """Count a constraint (or a group of them) that uses a part of the body's mass."""
-        ti.atomic_add(self.split_count[b], 1)
-
-    @ti.func
-    def splits(self, b):
-        """Split count of body b, the B of sim/contact/constraints.py."""
-        return ti.cast(self.split_count[b], ti.f32)
-
-    @ti.func
     def inverse_effective_mass(self, b, arm, n):
         """1/m + (r x n) I^-1 (r x n) [1/kg] along n at the lever arm r [m]."""
-        return self.inv_mass[b] + angular_inv_mass(arm, n, self.inverse_inertia_world[b])
+        a = arm.cross(n)
+        return self.inv_mass[b] + a.dot(self.inverse_inertia_world[b] @ a)
 
     @ti.func
     def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, b):
@@ -323,9 +313,8 @@ def passes_for(substep: float) -> int:
 class RigidShapes:
     """Collision shapes of rigid bodies: exact boxes, or distance grids, in the body's frame.
 
-    boxed i32[B], half vec3[B] [m];   outward vec3[P]: surface normal of a rigid body at a sample, in its frame.
-
-    On a corner or an edge `outward` is the mean of the faces that meet there; 0 for samples of soft bodies.
+    boxed i32[B], half vec3[B] [m];   outward vec3[P]: surface normal of a rigid body at a sample, in its frame; on a
+    corner or an edge the mean of the faces that meet there; 0 for samples of soft bodies
     """
 
     def __init__(self, rigid_bodies: RigidBodies, samples: ContactSamples, grids: DistanceGrids):

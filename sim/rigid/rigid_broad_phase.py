@@ -16,11 +16,10 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup
 from core.lanes import lane_count, rank_lanes, sync_lanes
-from sim.contact.broad_phase import BodyBounds, outside_box
-from sim.contact.constraints import ContactConstraints
-from sim.contact.contact_samples import ContactSamples
+from sim.contact.broad_phase import outside_box
+from sim.contact.narrow_phase import StaticContact
 from sim.contact.response import CONTACT_SLOP
-from sim.contact.static_shapes import MAX_SHAPES, UNKNOWN_DISTANCE, StaticShapes, known
+from sim.contact.static_shapes import MAX_SHAPES, UNKNOWN_DISTANCE, known
 from sim.model import MAX_BODIES
 from sim.rigid.rigid_bodies import FREE, SOFT, RigidShapes
 
@@ -33,11 +32,6 @@ STEEPEST = 1e30  # inclination of a plane
 # [m] by which others have to touch sooner than a contact that is left out: flat faces lean by rounding and by the slop.
 # With half of this up to 14 contacts of two bricks carry a load, and a pass takes as long as its largest group.
 HULL_TOLERANCE = 2.0 * CONTACT_SLOP
-
-
-def slot_count(samples: ContactSamples) -> int:
-    """Number of slots; each is a constraint."""
-    return SLOTS * samples.capacity
 
 
 @ti.func
@@ -88,19 +82,12 @@ class RigidBroadPhase:
     active i32[G], loaded i32[4P]: how many of a group carry a load, and which; 1 before they are listed
     """
 
-    def __init__(
-        self,
-        shapes: RigidShapes,
-        static_shapes: StaticShapes,
-        bounds: BodyBounds,
-        constraints: ContactConstraints,
-        begin,
-    ):
-        self.rigid_bodies, self.samples, self.bounds = shapes.rigid_bodies, shapes.samples, bounds
-        self.state = self.rigid_bodies.state
-        self.static_shapes, self.shapes, self.constraints, self.begin = static_shapes, shapes, constraints, begin
+    def __init__(self, shapes: RigidShapes, static: StaticContact, begin: int):
+        self.shapes, self.static_shapes, self.begin = shapes, static.shapes, begin
+        self.state, self.rigid_bodies, self.samples = static.state, shapes.rigid_bodies, shapes.samples
+        self.bounds, self.constraints = static.bounds, static.constraints
         self.lanes = lane_count()
-        group, slots = FieldGroup(), slot_count(self.samples)
+        group, slots = FieldGroup(), SLOTS * self.samples.capacity
         with group.interleaved(slots):
             self.shape, self.entry = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
             self.distance, self.bounce_speed = group.scalar(), group.scalar()
@@ -197,14 +184,15 @@ class RigidBroadPhase:
 
     @ti.kernel
     def find(self):
-        """Make the constraints of samples that can touch something before the next search candidates, and group them.
-
-        The bounds must be up to date.
-        """
+        """Make candidates of what can touch before the next search, and group them; bounds must be up to date."""
         self.total[None], self.group_count[None] = 0, 0
         for g in range(GROUPS):
             self.size[g], self.filled[g], self.active[g] = 0, 0, 0
-        self._fill_slots()
+        for p in range(self.samples.capacity):
+            if p < self.samples.count[None]:
+                n = self.static_shapes.count[None]
+                for k in range(n + self.state.body_count[None]):
+                    self._offer(p, k if k < n else MAX_SHAPES + k - n)
         self._count_groups()
         self._fill_groups()
         # Of a group only the corners of its lower hull, and what bounces, are left
@@ -214,15 +202,6 @@ class RigidBroadPhase:
                 self.spare[e] = 0
         for k in range(GROUPS * self.lanes):
             self._thin_out(k // self.lanes, k % self.lanes)
-
-    @ti.func
-    def _fill_slots(self):
-        """Update the shapes in the slots of all samples. Outermost level of a kernel."""
-        for p in range(self.samples.capacity):
-            if p < self.samples.count[None]:
-                n = self.static_shapes.count[None]
-                for k in range(n + self.state.body_count[None]):
-                    self._offer(p, k if k < n else MAX_SHAPES + k - n)
 
     @ti.func
     def _count_groups(self):
@@ -238,7 +217,10 @@ class RigidBroadPhase:
                     self.constraints.body_count[r] = 1
                     self.constraints.add_candidate(r)
                 else:
-                    self._locate(q, g)
+                    p = q % P
+                    x, skin = self.samples.blend(p, self.state.x), self.samples.skin[p]
+                    phi, n = self.surface_at(q, x)
+                    self.gap[q], self.position[q], self.normal[q] = phi + skin, x + skin * n, self._side(q, g) * n
                     ti.atomic_add(self.size[g], 1)
 
     @ti.func
@@ -262,26 +244,13 @@ class RigidBroadPhase:
         return q % self.samples.capacity < self.samples.count[None] and self.shape[q] >= 0
 
     @ti.func
-    def _locate(self, q, g):
-        """Store where the contact of slot q in group g is."""
-        p = q % self.samples.capacity
-        x = self.samples.blend(p, self.state.x)
-        phi, n = self.surface_at(q, x)
-        skin = self.samples.skin[p]
-        self.gap[q], self.position[q] = phi + skin, x + skin * n
-        self.normal[q] = self._side(q, g) * n
-
-    @ti.func
     def _side(self, q, g):
         """1 if slot q is a sample of the first body of group g, -1 if of the second."""
         return 1.0 if self.samples.body[q % self.samples.capacity] == bodies_of_group(g)[0] else -1.0
 
     @ti.func
     def _sort(self, q):
-        """Put slot q into its place in its group.
-
-        It is spare until it proves to be a corner; a contact that bounces never is.
-        """
+        """Put slot q into its place in its group; unless it bounces, it is spare until it proves to be a corner."""
         g, rank = self.group_of(q), 0
         for e in range(self.group_begin[g], self.group_begin[g] + self.size[g]):
             rank += ti.cast(self.listed[e] < q, ti.i32)

@@ -73,9 +73,9 @@ class RigidContacts:
         if loaded:
             a, b = bodies_of_group(g)
             if ti.atomic_max(self.search.active[g], 1) == 0:
-                self.rigid_bodies.count_split(a)
+                ti.atomic_add(self.rigid_bodies.split_count[a], 1)
                 if b != WORLD:
-                    self.rigid_bodies.count_split(b)
+                    ti.atomic_add(self.rigid_bodies.split_count[b], 1)
         self.constraints.set_active(r, usable, loaded)
 
     @ti.func
@@ -106,8 +106,7 @@ class RigidContacts:
     def _min_normal_motion(self, r, q, restitution):
         """Least normal motion [m] of constraint r in this substep.
 
-        An impact asks for its bounce speed; in its first substep for as much less as the body first has to go to get
-        there.
+        An impact asks for its bounce speed, in its first substep less what the body has to go until it touches.
         """
         dt = self.state.dt[None]
         y_n = min_normal_motion(self.constraints.phi[r], dt)
@@ -209,7 +208,7 @@ class RigidContacts:
     def _copy_of(self, b, j):
         """Increments of body b before pass j, and the inverse of the mass and inertia that a group may use."""
         m = self.rigid_bodies
-        splits = m.splits(b)
+        splits = ti.cast(m.split_count[b], ti.f32)
         d, t = m.increments(b, j)
         return d, t, splits * m.inv_mass[b], splits * m.inverse_inertia_world[b]
 
@@ -229,11 +228,6 @@ class RigidContacts:
             w_t = A_t / slip_sqr
             held -= slip_sqr / ti.max(A_t, 1e-20 * slip_sqr) * y_t  # two divisions side by side
         return isotropic_contact_impulse(held, n, w_t, friction, dt)
-
-    @ti.func
-    def release(self, g):
-        """Forget which constraints of group g carried a load: the sweep is over."""
-        self.search.active[g] = 0
 
     @ti.func
     def _list_loaded(self, g, lane):

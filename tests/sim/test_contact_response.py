@@ -85,44 +85,37 @@ def device(ti_cpu):
         for name, value in values.items():
             fields[name].from_numpy(value.astype(np.float32))
 
+    def result(kernel, field, *arguments, **values):
+        take(**values)
+        kernel(*arguments)
+        return field.to_numpy().astype(np.float64)
+
     class Device:
         @staticmethod
         def impulse(normals, holding, A, mu_s, mu_k=None):
-            take(n=normals, vector=holding, matrix=A)
-            solve(mu_s, mu_s if mu_k is None else mu_k)
-            return out.to_numpy().astype(np.float64)
+            return result(solve, out, mu_s, mu_s if mu_k is None else mu_k, n=normals, vector=holding, matrix=A)
 
         @staticmethod
         def isotropic_impulse(normals, holding, w, mu):
-            take(n=normals, vector=holding, pair=w)
-            solve_isotropic(mu)
-            return out.to_numpy().astype(np.float64)
+            return result(solve_isotropic, out, mu, n=normals, vector=holding, pair=w)
 
         @staticmethod
         def held(normals, y, old, w, least, compliance=0.0, damping=1.0, most=1e30):
-            take(n=normals, vector=y, other=old, pair=w)
             spring[None] = (compliance, damping, most)
-            hold(least)
-            return out.to_numpy().astype(np.float64)
+            return result(hold, out, least, n=normals, vector=y, other=old, pair=w)
 
         @staticmethod
         def pressed(phi, mass, steps):
-            take(scalar=phi, pair=np.stack([1 / mass, 1 / mass], 1), vector=np.zeros((N, 3)))
             out.fill(0.0)
-            press(steps)
-            return out.to_numpy().astype(np.float64).T
+            return result(press, out, steps, scalar=phi, pair=np.stack([1 / mass, 1 / mass], 1)).T
 
         @staticmethod
         def inverse_mass(arm, inv_mass, inverse_inertia):
-            take(vector=arm, matrix=inverse_inertia)
-            mass_matrix(inv_mass)
-            return matrix.to_numpy().astype(np.float64)
+            return result(mass_matrix, matrix, inv_mass, vector=arm, matrix=inverse_inertia)
 
         @staticmethod
         def least_motion(phi):
-            take(scalar=phi)
-            least_motion()
-            return scalar.to_numpy().astype(np.float64)
+            return result(least_motion, scalar, scalar=phi)
 
     return Device
 

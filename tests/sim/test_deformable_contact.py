@@ -10,8 +10,9 @@ from core.material import Material
 from core.vocabulary import Capsule
 from sim.bodies import SoftBody
 from sim.contact.nearest_tet import tet_neighbors
+from sim.model import RestShape
 from sim.solver import Solver
-from tests.support.soft_world import FLOOR, soft_solver
+from tests.support.soft_world import FLOOR, soft_solver, vertices_of
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.5, damping=8.0)
 RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6, damping=4.0)
@@ -36,11 +37,6 @@ def gravity_down(request):
         request.getfixturevalue("cubes").gravity = (0.0, -9.81, 0.0)
 
 
-def positions(solver):
-    x, o = solver.x.to_numpy(), solver.vertex_offset
-    return [x[o[b] : o[b + 1]].astype(np.float64) for b in range(len(o) - 1)]
-
-
 def speed(solver):
     return np.linalg.norm(solver.v.to_numpy()[: solver.state.sizes.vertices], axis=1)
 
@@ -55,8 +51,8 @@ def rows(solver):
 
 
 def test_neighbours_share_a_face():
-    _, tets, surface = box((1, 1, 1), (3, 2, 2))
-    across = tet_neighbors(tets)
+    x, tets, surface = box((1, 1, 1), (3, 2, 2))
+    across = tet_neighbors(RestShape(x, tets, surface, None))
     assert (across == -1).sum() == len(surface)
     for t, k in np.argwhere(across >= 0):
         assert set(np.delete(tets[t], k)) < set(tets[across[t, k]])
@@ -65,7 +61,7 @@ def test_neighbours_share_a_face():
 def test_what_is_pushed_out_of_the_floor_does_not_enter_what_is_above_it(cubes):
     """At rest without gravity nothing is expected to move: it is the margin of the search that covers 1.5 mm."""
     cubes.gravity = (0.0, 0.0, 0.0)
-    low, high = positions(cubes)
+    low, high = vertices_of(cubes)
     sunk, above = low - [0, 0.009, 0], high - [0, high[:, 1].min() - (low[:, 1].max() - 0.0075), 0]
     cubes.restore({"x": np.concatenate([sunk, above]), "v": np.zeros((len(low) + len(high), 3))})
     cubes.step(DT)
@@ -75,11 +71,11 @@ def test_what_is_pushed_out_of_the_floor_does_not_enter_what_is_above_it(cubes):
 
 def test_a_stack_comes_to_rest_and_stays(cubes):
     run(cubes, 4)
-    before, fastest = positions(cubes), speed(cubes).max()
+    before, fastest = vertices_of(cubes), speed(cubes).max()
     assert fastest < 5e-3
     run(cubes, 6)
     assert speed(cubes).max() < max(0.5 * fastest, 1e-4)
-    drift = np.abs(np.concatenate(positions(cubes)) - np.concatenate(before)).max()
+    drift = np.abs(np.concatenate(vertices_of(cubes)) - np.concatenate(before)).max()
     assert drift < 1e-3, drift
     low, high = cubes.bodies()
     assert low.low[1] > -1e-4
@@ -100,14 +96,14 @@ def test_a_stack_carries_its_weight(cubes):
 def test_friction_holds_a_stack_on_a_slope(cubes):
     """Friction 0.5 on both contacts; the ground falls by 10 degrees at once, then by 45."""
     run(cubes, 2)
-    before = positions(cubes)
+    before = vertices_of(cubes)
     cubes.gravity = (9.81 * np.sin(np.radians(10)), -9.81 * np.cos(np.radians(10)), 0.0)
     run(cubes, 2)
-    moved = [np.abs(a.mean(0) - b.mean(0)).max() for a, b in zip(positions(cubes), before, strict=True)]
+    moved = [np.abs(a.mean(0) - b.mean(0)).max() for a, b in zip(vertices_of(cubes), before, strict=True)]
     assert max(moved) < 8e-3, moved  # they lean
     cubes.gravity = (9.81 * np.sin(np.radians(45)), -9.81 * np.cos(np.radians(45)), 0.0)
     run(cubes, 1)
-    assert positions(cubes)[0][:, 0].mean() > 0.2
+    assert vertices_of(cubes)[0][:, 0].mean() > 0.2
 
 
 def test_a_collision_conserves_momentum(cubes):
@@ -123,10 +119,10 @@ def test_a_collision_conserves_momentum(cubes):
     m = cubes.state.mass.to_numpy()[: len(x), None].astype(np.float64)
     before = (m * v).sum(0), (m * np.cross(x, v)).sum(0)
     run(cubes, 0.1)
-    x, v = np.concatenate(positions(cubes)), cubes.v.to_numpy()[: len(x)]
+    x, v = np.concatenate(vertices_of(cubes)), cubes.v.to_numpy()[: len(x)]
     assert_allclose((m * v).sum(0), before[0], atol=1e-4 * 2.5)
     assert_allclose((m * np.cross(x, v)).sum(0), before[1], atol=2e-3 * 0.3)  # normals are those before the step
-    assert positions(cubes)[1][:, 1].mean() > positions(cubes)[0][:, 1].mean() + 0.05
+    assert vertices_of(cubes)[1][:, 1].mean() > vertices_of(cubes)[0][:, 1].mean() + 0.05
     assert v[:n, 1].mean() < -1.5
     assert 0.5 * (m * v**2).sum() < 0.5 * SIDE**3 * 1000 * 25
 
@@ -183,7 +179,7 @@ def test_what_passes_over_a_body_meets_the_tets_that_it_comes_to(cubes):
     cubes.gravity = (0.0, 0.0, 0.0)
     cubes.restore({"x": x, "v": v})
     cubes.step(1 / 60, [])
-    p, samples, x = rows(cubes)[0], cubes.contacts.samples, np.concatenate(positions(cubes))
+    p, samples, x = rows(cubes)[0], cubes.contacts.samples, np.concatenate(vertices_of(cubes))
     p = p[samples.body.to_numpy()[p] == 1]
     at = (x[samples.host_ids[p]] * samples.host_weights[p][..., None]).sum(1)
     corners = x[cubes.state.tets.to_numpy()[cubes.contacts.deformable.hosts.host.to_numpy()[p]]]
@@ -205,7 +201,7 @@ def test_rings_stack_on_a_peg_and_rest(ti_cpu):
     ]
     solver = Solver(rings, [FLOOR, Capsule((0, 0, 0), (0, 0.3, 0), 0.02)], hands=0)
     run(solver, 1.0)
-    early = np.concatenate(positions(solver))
+    early = np.concatenate(vertices_of(solver))
     run(solver, 3.0)
     energy = (speed(solver) ** 2).sum()
     run(solver, 2.0)
@@ -220,4 +216,4 @@ def test_rings_stack_on_a_peg_and_rest(ti_cpu):
     assert phi[np.linalg.norm(impulse, axis=1) > 0].min() > -1e-3
     solver.reset()
     run(solver, 1.0)
-    assert (np.concatenate(positions(solver)) == early).all()
+    assert (np.concatenate(vertices_of(solver)) == early).all()

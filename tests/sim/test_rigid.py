@@ -39,12 +39,6 @@ def momentum(solver, b=0):
     return L, 0.5 * L @ omega
 
 
-def check(rows):
-    for r in rows:
-        print(f"{r['check']:50s} reference {r['reference']:<12.6g} measured {r['measured']:.6g}")
-    assert rows and not [r for r in rows if not r["pass"]]
-
-
 def test_a_free_spin_about_the_middle_axis_flips_and_keeps_momentum_and_energy(free):
     free.reset()
     free.gravity = (0.0, 0.0, 0.0)
@@ -83,18 +77,17 @@ def test_what_is_too_fast_for_a_substep_is_slowed(free):
     assert 0.01 < np.linalg.norm(m.v.to_numpy()[1]) * dt < 0.05001
 
 
-@pytest.mark.long
-def test_rebounds_reach_e_squared(place):
-    check(physics_contact.rigid_bounce(place))
-
-
-@pytest.mark.long
-def test_stacks_stand(place):
-    check(physics_contact.rigid_stack(place))
-
-
-def test_boxes_hold_and_slide_at_the_friction_angle(place):
-    check(physics_contact.slope(place))
+@pytest.mark.parametrize(
+    "measure",
+    [
+        pytest.param(physics_contact.rigid_bounce, marks=pytest.mark.long),
+        pytest.param(physics_contact.rigid_stack, marks=pytest.mark.long),
+        physics_contact.slope,
+    ],
+)
+def test_rebounds_stacks_and_friction_are_as_they_should(measure, place):
+    rows = measure(place)
+    assert rows and not [r for r in rows if not r["pass"]]
 
 
 def test_a_heavy_box_rests_on_a_light_one(place):

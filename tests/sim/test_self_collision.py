@@ -10,7 +10,7 @@ from core.vocabulary import Hand
 from sim.bodies import SoftBody
 from sim.contact.broad_phase import can_fold
 from sim.model import RestShape
-from tests.support.soft_world import soft_solver
+from tests.support.soft_world import soft_solver, vertices_of
 
 DT = 1 / 60
 LENGTH, THICK, EDGE = 0.4, 0.04, 0.02
@@ -36,11 +36,6 @@ def start(solver, x=BAR, v=None, ring=RING):
     velocity = np.zeros((len(BAR) + len(RING), 3))
     velocity[: len(BAR)] = 0.0 if v is None else v
     solver.restore({"x": np.concatenate([x, ring + FAR]), "v": velocity})
-
-
-def positions(solver, body=0):
-    o = solver.vertex_offset
-    return solver.x.to_numpy()[o[body] : o[body + 1]].astype(np.float64)
 
 
 def bent(radius=0.06):
@@ -94,11 +89,11 @@ def test_halves_that_meet_do_not_pass(bar):
         bar.step(DT, [])
         depths, _ = listed(bar)
         deepest, met = max(deepest, depths.max(initial=0.0)), met or len(depths) > 0
-        assert apart(positions(bar)) > 0.0
+        assert apart(vertices_of(bar)[0]) > 0.0
     assert met and deepest < 0.3 * EDGE, deepest
     for _ in range(120):
         bar.step(DT, [])
-    x = positions(bar)
+    x = vertices_of(bar)[0]
     assert np.linalg.norm(x[UPPER].mean(0) - x[LOWER].mean(0)) > 0.98 * 0.75 * LENGTH
     assert listed(bar)[1] == 0
 
@@ -115,12 +110,12 @@ def test_what_hands_folded_unfolds(bar):
         depths, _ = listed(bar)
         deepest, met = max(deepest, depths.max(initial=0.0)), met or len(depths) > 2
     assert met and deepest < 0.3 * EDGE, deepest
-    x = positions(bar)
+    x = vertices_of(bar)[0]
     middle = np.abs(np.abs(BAR[:, 0]) - LENGTH / 4) < 0.03  # between bend and hands
     assert x[middle & (BAR[:, 0] > 0), 1].mean() > x[middle & (BAR[:, 0] < 0), 1].mean()
     for _ in range(150):
         bar.step(DT, [])
-    x = positions(bar)
+    x = vertices_of(bar)[0]
     assert np.linalg.norm(x[UPPER].mean(0) - x[LOWER].mean(0)) > 0.98 * 0.75 * LENGTH
     assert (tet_volumes(x, TETS) > 0).all()
 
@@ -132,7 +127,7 @@ def test_a_crumpled_ring_recovers(bar):
     start(bar, ring=crumpled)
     for _ in range(240):
         bar.step(DT, [])
-    x = positions(bar, 1)
+    x = vertices_of(bar)[1]
     assert (tet_volumes(x, RING_TETS) > 0).all()
     u, _, vt = np.linalg.svd((x - x.mean(0)).T @ (RING - RING.mean(0)))
     turned = (RING - RING.mean(0)) @ (u @ vt).T

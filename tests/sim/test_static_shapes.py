@@ -1,4 +1,4 @@
-"""Distances and normals of static shapes against float64 twins, and the distance grid of a cage at rest."""
+"""Distances of static shapes against float64 twins, the distance grid of a cage, samples, and lines of sight."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from core.rotation import matrices_from_quaternions
 from core.vocabulary import Box, Capsule, Plane
 from sim.bodies import RigidBody
 from sim.contact.contact_samples import CapsuleSamples, points_of, skin_depth, spacing_for, surface_points, thin_out
-from sim.contact.static_shapes import UNKNOWN_DISTANCE, StaticGrid, StaticShapes, rest_grid
+from sim.contact.static_shapes import UNKNOWN_DISTANCE, LineOfSight, StaticGrid, StaticShapes, rest_grid
 from sim.model import BodyModel
 
 PLANE = Plane((0.1, 0.2, -0.3), (0.0, 3.0, 4.0), friction=0.25)
@@ -152,16 +152,6 @@ def test_outside_its_box_a_grid_is_extrapolated(ti_cpu):
     destroy_fields(grids)
 
 
-def test_several_shapes_have_each_their_own_distance_and_friction(ti_cpu):
-    points = np.random.default_rng(2).uniform(-0.4, 0.4, (2000, 3))
-    phi, _, friction = measure([PLANE, CAPSULE, BOX], points)
-    each = np.stack([plane_twin(points), capsule_twin(points), box_twin(points)])
-    assert_allclose(phi, each.min(0), atol=3e-7)
-    clear = np.sort(each, axis=0)[1] - each.min(0) > 1e-6
-    expected = np.array([s.friction for s in (PLANE, CAPSULE, BOX)])[each.argmin(0)]
-    assert_allclose(friction[clear], expected[clear])
-
-
 def test_distance_grid_of_a_cage(ti_cpu):
     """Against the exact box, near the surface; signs everywhere."""
     size = np.array([0.3, 0.1, 0.2])
@@ -245,3 +235,57 @@ def test_skin_is_what_the_cage_adds_to_the_visible_surface():
     points = surface_points(x, np.array([[0, 1, 2], [0, 2, 3]]), 1.0)
     assert_allclose(skin_depth(points, x, grid), 0.03, atol=2e-3)
     assert (skin_depth(points, x, None) == 0).all()
+
+
+TABLE = Box((0.0, 0.73, 0.0), (0.8, 0.015, 0.5))  # a top of 3 cm
+FLOOR = Plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+TOY = np.array([0.1, 0.76, 0.0])
+
+
+def table_grid(spacing: float = 0.02) -> StaticGrid:
+    """The same table as a distance grid, in a frame that is turned by a quarter, moved and half as large."""
+    origin = np.array([-1.2, -0.4, -2.0])
+    grid = DistanceGrid(np.zeros((60, 40, 100)), origin, 2 * spacing)
+    x = grid.nodes() @ np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]).T / 2 + (0.0, 0.73, 0.0)
+    beyond = np.abs(x - TABLE.center) - TABLE.half_size
+    values = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(-1), 0.0)
+    quarter = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
+    return StaticGrid(
+        DistanceGrid((2 * values).astype(np.float16), origin, 2 * spacing), quarter, (0.0, 0.73, 0.0), 0.5
+    )
+
+
+def hides(sight: LineOfSight, eye) -> bool:
+    return sight.hides(eye, TOY - eye, np.linalg.norm(TOY - eye))
+
+
+@pytest.mark.parametrize("table", [TABLE, table_grid()], ids=["box", "grid"])
+def test_a_table_hides_what_stands_on_it_from_below_and_not_from_above(table):
+    sight = LineOfSight([FLOOR, table])
+    for eye in ([0.0, 1.5, 1.0], [1.5, 0.77, 0.3], [-1.0, 1.0, -1.0]):
+        assert not hides(sight, np.array(eye))
+    for eye in ([0.0, 0.2, 0.4], [0.3, 0.5, -0.2]):
+        assert hides(sight, np.array(eye))
+    eye = np.array([0.0, 0.2, 0.4])
+    assert not sight.hides(eye, TOY - eye, 0.3)  # before the table
+
+
+def test_what_the_eye_is_in_hides_nothing():
+    sight = LineOfSight([Box((0.0, 1.0, 1.0), (0.2, 0.2, 0.2))])
+    assert not hides(sight, np.array([0.0, 1.0, 1.0]))
+    assert hides(sight, np.array([0.0, 1.2, 1.8]))
+
+
+def test_a_capsule_hides_what_is_behind_it():
+    sight = LineOfSight([Capsule((0.1, 0.7, 0.3), (0.1, 1.0, 0.3), 0.04)])
+    assert hides(sight, np.array([0.1, 0.8, 1.0])) and not hides(sight, np.array([0.6, 0.8, 1.0]))
+
+
+@pytest.mark.parametrize("table", [TABLE, table_grid()], ids=["box", "grid"])
+def test_the_ground_is_the_table_or_the_floor_and_not_what_stands_there(table):
+    bottle = Capsule((0.0, 0.7, 0.0), (0.0, 1.0, 0.0), 0.04)
+    sight = LineOfSight([FLOOR, table, bottle])
+    assert sight.ground((0.0, 0.9, 0.0)) == pytest.approx(0.745, abs=0.02)
+    assert sight.ground((2.0, 0.9, 0.0)) == pytest.approx(0.0, abs=0.02)
+    assert LineOfSight([]).ground((0.0, 1.0, 0.0)) is None
+    assert LineOfSight([FLOOR]).ground((0.0, 9.0, 0.0)) is None

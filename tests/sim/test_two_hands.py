@@ -13,7 +13,7 @@ from core.vocabulary import Hand
 from sim.bodies import SoftBody
 from sim.hands.grasp import MAX_HAND_FORCE
 from sim.solver import Solver
-from tests.support.soft_world import soft_solver
+from tests.support.soft_world import soft_solver, vertices_of
 
 DT = 1 / 60
 X, TETS, SURFACE = box((0.36, 0.06, 0.06), (14, 2, 2))
@@ -29,7 +29,7 @@ STILL = (1.0, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def shared_solver(ti_cpu) -> Solver:
+def solver(ti_cpu) -> Solver:
     bars = [
         SoftBody(f"{m.young:g} Pa, {m.poisson}", X, TETS, SURFACE, m, position=tuple(place))
         for m, place in zip(MATERIALS, PLACES, strict=True)
@@ -37,11 +37,10 @@ def shared_solver(ti_cpu) -> Solver:
     return soft_solver(bars, floor=False, gravity=(0.0, 0.0, 0.0))
 
 
-@pytest.fixture
-def solver(shared_solver):
-    shared_solver.reset()
-    shared_solver.gravity = (0.0, 0.0, 0.0)
-    return shared_solver
+@pytest.fixture(autouse=True)
+def begin(solver):
+    solver.reset()
+    solver.gravity = (0.0, 0.0, 0.0)
 
 
 def about_x(angle):
@@ -64,11 +63,6 @@ def at(x, turn=0.0):
     return np.array([x, 0.0, 0.0]), about_x(turn)
 
 
-def bars(solver):
-    x = solver.snapshot()["x"].astype(np.float64)
-    return np.split(x, solver.vertex_offset[1:-1])
-
-
 def comes_back(solver, seconds=3.0, *, count=len(MATERIALS)):
     """After letting go: finite, at rest in its own shape, nothing inverted; of the first `count` bars."""
     for _ in range(2):
@@ -78,7 +72,7 @@ def comes_back(solver, seconds=3.0, *, count=len(MATERIALS)):
     assert solver.stats["finite"]
     rest = tet_volumes(X, TETS)
     edges = TETS[:, [0, 0, 0, 1, 1, 2]], TETS[:, [1, 2, 3, 2, 3, 3]]
-    for body, x in zip(solver.bodies()[:count], bars(solver), strict=False):
+    for body, x in zip(solver.bodies()[:count], vertices_of(solver), strict=False):
         volumes = tet_volumes(x, TETS) / rest
         assert volumes.min() > 0.9, f"{body.name}: a tet of {volumes.min():.2f} of its volume"
         assert volumes @ rest == pytest.approx(rest.sum(), rel=0.005), body.name
@@ -98,7 +92,7 @@ def test_pulled_apart(held):
     """By 60 cm: the stiff ones do not give so much, and slip no further than the hands' force pulls them."""
     play(held, 0.5, lambda t: at(-0.18 - 0.6 * t), lambda t: at(0.18 + 0.6 * t))
     play(held, 0.5, lambda t: at(-0.48), lambda t: at(0.48))
-    lengths = [np.ptp(x[:, 0]) for x in bars(held)]
+    lengths = [np.ptp(x[:, 0]) for x in vertices_of(held)]
     assert lengths[0] > 0.7 > lengths[2] and lengths[2] > lengths[3] > 0.37
     comes_back(held)
 
@@ -110,7 +104,7 @@ def test_a_light_body_is_pulled_as_firmly(solver):
         play(solver, 0.1, lambda t: at(-0.18), lambda t: at(0.18))
         play(solver, 0.2, lambda t: at(-0.18 - 0.5 * t), lambda t: at(0.18 + 0.5 * t))
         play(solver, 0.4, lambda t: at(-0.28), lambda t: at(0.28))
-        assert np.ptp(bars(solver)[0][:, 0]) > 0.36 + 0.17
+        assert np.ptp(vertices_of(solver)[0][:, 0]) > 0.36 + 0.17
     finally:
         solver.set_material(0, MATERIALS[0])
 
@@ -118,7 +112,7 @@ def test_a_light_body_is_pulled_as_firmly(solver):
 def test_squeezed_flat(held):
     play(held, 0.5, lambda t: at(-0.18 + 0.356 * t), lambda t: at(0.18 - 0.356 * t))
     play(held, 0.5, lambda t: at(-0.002), lambda t: at(0.002))
-    assert np.ptp(bars(held)[0][:, 0]) < 0.3
+    assert np.ptp(vertices_of(held)[0][:, 0]) < 0.3
     comes_back(held)
 
 
@@ -136,7 +130,7 @@ def test_twisted_by_720_degrees(held):
     turn = 4 * np.pi / 1.5
     play(held, 0.75, lambda t: at(-0.18), lambda t: at(0.18, turn * t))
     edge = np.lexsort((X[:, 0], np.round(np.abs(X[:, 1:] - 0.03).sum(1), 6)))[:15]  # along the bar
-    for x, place in zip(bars(held)[:2], PLACES, strict=False):
+    for x, place in zip(vertices_of(held)[:2], PLACES, strict=False):
         line = (x - place)[edge, 1:]
         angle = np.unwrap(np.arctan2(line[:, 1], line[:, 0]))
         assert angle[-1] - angle[0] == pytest.approx(2 * np.pi, abs=0.5)

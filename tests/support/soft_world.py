@@ -31,6 +31,11 @@ def shapes() -> list:
     ]
 
 
+def vertices_of(solver: Solver) -> list[np.ndarray]:
+    """Positions of each body's vertices [m], (V, 3) float64."""
+    return np.split(solver.snapshot()["x"].astype(np.float64), solver.vertex_offset[1:-1])
+
+
 def soft_solver(bodies, *, floor: bool = True, more_shapes=(), **options) -> Solver:
     """A solver of these soft bodies in the shared world, with or without its floor, and 8 hands; none sleeps."""
     options = {"sleep": False, **options}

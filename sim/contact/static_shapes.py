@@ -307,7 +307,9 @@ class StaticShapes:
             r = p - a - axis * ti.math.clamp((p - a).dot(axis) / ti.max(axis.norm_sqr(), 1e-12), 0.0, 1.0)
             length = r.norm()
             phi = length - self.radius[k]
-            normal = r / length if length > 1e-9 else any_normal(axis)
+            normal, _tangent = tangents(axis / ti.max(axis.norm(), 1e-9))  # on the axis, where any will do
+            if length > 1e-9:
+                normal = r / length
         elif kind == BOX:
             phi, normal = box_distance(p - a, b)
         else:
@@ -359,12 +361,12 @@ def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
 
 
 @ti.func
-def any_normal(axis):
-    """A unit vector perpendicular to axis: the normal on a capsule's own axis, where any will do."""
-    n = axis.cross(ti.Vector([1.0, 0.0, 0.0]))
-    if axis.y**2 + axis.z**2 < axis.x**2:
-        n = axis.cross(ti.Vector([0.0, 1.0, 0.0]))
-    return n.normalized() if n.norm_sqr() > 1e-18 else ti.Vector([0.0, 1.0, 0.0])
+def tangents(n):
+    """Two unit vectors that are perpendicular to a unit vector n and to each other (Duff et al. 2017)."""
+    sign = 1.0 if n.z >= 0.0 else -1.0
+    a = -1.0 / (sign + n.z)
+    b = n.x * n.y * a
+    return vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), vec3(b, sign + n.y * n.y * a, -n.y)
 
 
 @ti.func

@@ -19,7 +19,7 @@ from core.lanes import lane_count, rank_lanes, sync_lanes
 from sim.contact.broad_phase import outside_box
 from sim.contact.narrow_phase import StaticContact
 from sim.contact.response import CONTACT_SLOP
-from sim.contact.static_shapes import MAX_SHAPES, UNKNOWN_DISTANCE, known
+from sim.contact.static_shapes import MAX_SHAPES, UNKNOWN_DISTANCE, known, tangents
 from sim.model import MAX_BODIES
 from sim.rigid.rigid_bodies import FREE, SOFT, RigidShapes
 
@@ -38,15 +38,6 @@ HULL_TOLERANCE = 2.0 * CONTACT_SLOP
 def bodies_of_group(g):
     """The two bodies of group g, the first of lower index; the second may be WORLD."""
     return g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
-
-
-@ti.func
-def tangents(n):
-    """Two unit vectors that are perpendicular to a unit vector n and to each other (Duff et al. 2017)."""
-    sign = 1.0 if n.z >= 0.0 else -1.0
-    a = -1.0 / (sign + n.z)
-    b = n.x * n.y * a
-    return vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), vec3(b, sign + n.y * n.y * a, -n.y)
 
 
 @ti.func

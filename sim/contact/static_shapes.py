@@ -393,9 +393,7 @@ class LineOfSight:
 
     def __init__(self, shapes: Sequence[Shape]):
         self._shapes = list(shapes)
-        bounds = [bounding_box(shape) for shape in self._shapes]
-        self._low = np.array([low for low, _ in bounds]).reshape(-1, 3)
-        self._high = np.array([high for _, high in bounds]).reshape(-1, 3)
+        self._low, self._high = np.array([bounding_box(s) for s in shapes]).reshape(-1, 2, 3).swapaxes(0, 1)
 
     def hides(self, origin, direction, distance: float) -> bool:
         """True if an obstacle lies between an eye and a point at `distance` [m] along a ray.
@@ -405,9 +403,7 @@ class LineOfSight:
         origin, direction = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
         points = line(origin, origin + distance * direction / np.linalg.norm(direction))
         inside = self._inside(points)
-        if inside.all():
-            return False
-        return bool(inside[np.argmin(inside) :].any())
+        return bool(not inside.all() and inside[np.argmin(inside) :].any())
 
     def ground(self, point) -> float | None:
         """Height [m] of what lies below a point, table or floor; None if nothing is near.

@@ -6,13 +6,14 @@ is compared with its image under the formula's own gradient. Twist: the bar is s
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 from time import perf_counter
 
 import numpy as np
 import taichi as ti
+from scipy.spatial import cKDTree
 
 from assets.asset import Asset
 from assets.gaussians import Gaussians
@@ -20,6 +21,7 @@ from bench.render_speed import box_surface, turns_to
 from core.camera import look_at, perspective
 from core.material import Material
 from core.spherical_harmonics import C0
+from core.tetmesh import tet_volumes
 from display.picture import pixels_of
 from prepare.pipeline import Options, prepare
 from render.renderer import Renderer
@@ -30,16 +32,10 @@ from sim.solver import Solver
 
 SCHEMES = ("one-level", "two-level")
 DEFORMATIONS = {"90 degrees": 0.5 * np.pi, "180 degrees": np.pi, "360 degrees": 2 * np.pi, "stretch 1.5": None}
-SPIKE_RATIO = 2.0  # a Gaussian is a spike if its axis ratio exceeds the correct one by this factor
 CAGE_VERTICES = 800  # tets of a tenth of the body
 PANEL = 340  # [px] sides of a picture on the page
 WORST_SHOWN = 0.3  # error that has the full colour
 PALE, RED = np.array([0.93, 0.92, 0.88]), np.array([0.78, 0.08, 0.08])
-
-
-def arch() -> str:
-    """Name of the Taichi backend: "cuda", "x64" ..."""
-    return str(ti.cfg.arch).removeprefix("Arch.")
 
 
 def striped_bar() -> Asset:
@@ -83,13 +79,13 @@ def covariances(six: np.ndarray) -> np.ndarray:
 
 
 class CarriedGaussians:
-    """Gaussians that a cage (vertices, tets) carries by a scheme, and their splats if given."""
+    """Gaussians that an asset's cage carries by a scheme, and their splats if given."""
 
-    def __init__(self, g: Gaussians, embedded, cage, scheme: str, splats: Splats | None = None) -> None:
-        (self.vertices, tets), self.g, n = cage, g, len(g)
+    def __init__(self, g: Gaussians, asset: Asset, scheme: str, splats: Splats | None = None) -> None:
+        self.g, self.vertices, n = g, asset.cage.vertices, len(g)
         self.x = ti.Vector.field(3, ti.f32, len(self.vertices))
-        bodies = [EmbeddedBody(embedded.host, embedded.weights, g, self.vertices, tets)]
-        self.embedding = Embedding(bodies, scheme=scheme)
+        body = EmbeddedBody(asset.embedding.host, asset.embedding.weights, g, self.vertices, asset.cage.tets)
+        self.embedding = Embedding([body], scheme=scheme)
         fields = [splats.mean, splats.cov, splats.rotation] if splats else None
         self.out = fields or [ti.Vector.field(k, ti.f32, n) for k in (3, 6, 4)]
 
@@ -103,15 +99,6 @@ class CarriedGaussians:
         exact = F @ covariances(self.g.covariances) @ np.moveaxis(F, 1, 2)
         return covariances(self.out[1].to_numpy()[: len(self.g)]), exact
 
-    def destroy(self) -> None:
-        """Free the device memory of the embedding."""
-        self.embedding.destroy()
-
-
-def errors_of(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """|Sigma - exact| / |exact| of each Gaussian."""
-    return np.linalg.norm(found - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
-
 
 def all_alike(g: Gaussians) -> Gaussians:
     """Gaussians at the same places, all with the same covariance."""
@@ -121,57 +108,36 @@ def all_alike(g: Gaussians) -> Gaussians:
 
 def jump_of(means: np.ndarray, found: np.ndarray, exact: np.ndarray) -> float:
     """95th percentile of the error's jump between neighbours, of Gaussians that are `all_alike`."""
-    from scipy.spatial import cKDTree
-
     near, off = cKDTree(means).query(means, k=5)[1][:, 1:], found - exact
     jumps = np.linalg.norm(off[:, None] - off[near], axis=(2, 3)) / np.linalg.norm(exact, axis=(1, 2))[:, None]
     return float(np.percentile(jumps, 95))
 
 
-class Ablation:
-    """A prepared body whose cage is deformed by formula and carries the Gaussians by one scheme."""
+def measure_ablation(asset: Asset, titles: Sequence[str]) -> Iterator[tuple[dict, np.ndarray, np.ndarray]]:
+    """Each of DEFORMATIONS that is named, by each scheme: numbers, and two pictures of the deformed body.
 
-    def __init__(self, name: str, asset: Asset, scheme: str, pictures: BodyPictures | None = None) -> None:
-        g, e, cage = asset.gaussians, asset.embedding, (asset.cage.vertices, asset.cage.tets)
-        self.name, self.scheme, self.g, self.vertices = name, scheme, g, len(cage[0])
-        self.pictures = pictures
-        self.carried = CarriedGaussians(g, e, cage, scheme, pictures.splats if pictures else None)
-        self.alike = CarriedGaussians(all_alike(g), e, cage, scheme)
-
-    def measure(self, title: str) -> tuple[dict, list[np.ndarray]]:
-        """A row of the table, and if there are to be pictures: the deformed body, and the same coloured by the error of
-        each Gaussian's covariance, from none, pale, to WORST_SHOWN, red."""
-        turn = DEFORMATIONS[title]
-        found, exact = self.carried.deform(turn)
-        axes = (np.linalg.eigvalsh(S) for S in (found, exact))
-        ratios = [np.sqrt(w[:, 2] / np.maximum(w[:, 0], 1e-6 * w[:, 2])) for w in axes]
-        excess = ratios[0] / ratios[1]
-        row = {"bench": "embedding", "what": "ablation", "body": self.name, "deformation": title}
-        row |= {"scheme": self.scheme, "gaussians": len(self.g), "vertices": self.vertices}
-        errors = errors_of(found, exact)
-        row |= {"error": float(np.percentile(errors, 95)), "spikes": float((excess > SPIKE_RATIO).mean())}
-        row |= {"excess": float(np.percentile(excess, 99))}
-        row |= {"jump": jump_of(self.g.means, *self.alike.deform(turn)), "arch": arch()}
-        if self.pictures is None:
-            return row, []
-        part = (errors / WORST_SHOWN).clip(0.0, 1.0)[:, None]
-        return row, [self.pictures.draw(c, stretched=turn is None) for c in (None, (1 - part) * PALE + part * RED)]
-
-    def destroy(self) -> None:
-        """Free the device memory of the embeddings."""
-        self.carried.destroy()
-        self.alike.destroy()
-
-
-def measure_ablations(name: str, asset: Asset, titles, *, draw: bool) -> Iterator[tuple[dict, list[np.ndarray]]]:
-    """Row and pictures of each deformation by each scheme."""
-    pictures = BodyPictures(asset.gaussians) if draw else None
-    ablations = [Ablation(name, asset, scheme, pictures) for scheme in SCHEMES]
+    The second one is coloured by the error of each Gaussian's covariance, from none, pale, to WORST_SHOWN, red.
+    """
+    g, pictures = asset.gaussians, BodyPictures(asset.gaussians)
+    carried = {scheme: CarriedGaussians(g, asset, scheme, pictures.splats) for scheme in SCHEMES}
+    alike = {scheme: CarriedGaussians(all_alike(g), asset, scheme) for scheme in SCHEMES}
     for title in titles:
-        for ablation in ablations:
-            yield ablation.measure(title)
-    for part in filter(None, (*ablations, pictures)):
-        part.destroy()
+        turn = DEFORMATIONS[title]
+        for scheme in SCHEMES:
+            found, exact = carried[scheme].deform(turn)
+            errors = np.linalg.norm(found - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
+            row = {
+                "deformation": title,
+                "scheme": scheme,
+                "error": float(np.percentile(errors, 95)),
+                "jump": jump_of(g.means, *alike[scheme].deform(turn)),
+            }
+            part = (errors / WORST_SHOWN).clip(0.0, 1.0)[:, None]
+            colors = (1 - part) * PALE + part * RED
+            yield row, *(pictures.draw(c, stretched=turn is None) for c in (None, colors))
+    for each in (*carried.values(), *alike.values()):
+        each.embedding.destroy()
+    pictures.destroy()
 
 
 class BodyPictures:
@@ -193,6 +159,14 @@ class BodyPictures:
         eye = target + np.linalg.norm(extent) / np.tan(fov / 2) * np.array([0.28, 0.20, 0.56])
         self.renderer.render([perspective(PANEL, PANEL, fov, look_at(eye, target))])
         return pixels_of(self.renderer.picture)[..., :3].copy()
+
+    def draw_carried(self, asset: Asset, solver: Solver) -> np.ndarray:
+        """Picture of the body as the solver of its cage has it now."""
+        e, c, s = asset.embedding, asset.cage, self.splats
+        embedding = Embedding([EmbeddedBody(e.host, e.weights, self.g, c.vertices, c.tets)])
+        embedding.deform(solver.x, s.mean, s.cov, s.rotation)
+        embedding.destroy()
+        return self.draw()
 
     def destroy(self) -> None:
         """Free the device memory."""
@@ -262,9 +236,9 @@ class TwistedBar:
     def twist(self, turn: float, seconds: tuple[float, float, float], integrator: str, *, draw: bool) -> Twist:
         """Twist the upper end by `turn` [rad], hold it, and let it go, for so many seconds each."""
         solver, pictures = self.solver(clamped=True, integrator=integrator), {}
-        show = _Pictures(self.asset, solver) if draw else None
-        if show:
-            pictures["at rest"] = show.picture()
+        body = BodyPictures(self.asset.gaussians) if draw else None
+        if body:
+            pictures["at rest"] = body.draw_carried(self.asset, solver)
         ramp, hold, swing = (max(round(s / FRAME), 1) for s in seconds)
         for k in range(ramp + hold):
             u = min((k + 1) / ramp, 1.0)
@@ -272,15 +246,14 @@ class TwistedBar:
             solver.step(FRAME)
         x = solver.snapshot()["x"].astype(np.float64)
         angles = [self.angle(x, h) / turn for h in HEIGHTS]
-        volume = enclosed(x, self.asset) / enclosed(self.rest, self.asset)
-        if show:
-            pictures[f"twisted by {np.degrees(turn):.0f}° and held"] = show.picture()
+        volume = tet_volumes(x, self.asset.cage.tets).sum() / tet_volumes(self.rest, self.asset.cage.tets).sum()
+        if body:
+            pictures[f"twisted by {np.degrees(turn):.0f}° and held"] = body.draw_carried(self.asset, solver)
         motion = solver.snapshot()
         solver.destroy()
 
         solver = self.solver(clamped=False, integrator=integrator)
         solver.restore({"x": motion["x"], "v": np.zeros_like(motion["v"])})
-        show = _Pictures(self.asset, solver) if draw else None
         series, times = [], []
         for k in range(swing):
             begin = perf_counter()
@@ -288,10 +261,11 @@ class TwistedBar:
             ti.sync()
             times.append(perf_counter() - begin)
             series.append(self.angle(solver.snapshot()["x"].astype(np.float64), 1.0 - SLAB))
-            if show and k == round(0.5 * quarter_period(self) / FRAME):
-                pictures["let go, a moment later"] = show.picture()
-        if show:
-            pictures[f"after {swing * FRAME:.1f} s"] = show.picture()
+            if body and k == round(0.5 * quarter_period(self) / FRAME):
+                pictures["let go, a moment later"] = body.draw_carried(self.asset, solver)
+        if body:
+            pictures[f"after {swing * FRAME:.1f} s"] = body.draw_carried(self.asset, solver)
+            body.destroy()
         stats = solver.stats
         solver.destroy()
         return Twist(
@@ -308,21 +282,6 @@ class TwistedBar:
         )
 
 
-class _Pictures:
-    """Pictures of a bar as a solver has it."""
-
-    def __init__(self, asset: Asset, solver: Solver):
-        g, e, c = asset.gaussians, asset.embedding, asset.cage
-        self.solver, self.body = solver, BodyPictures(g)
-        self.embedding = Embedding([EmbeddedBody(e.host, e.weights, g, c.vertices, c.tets)])
-
-    def picture(self) -> np.ndarray:
-        """Picture (PANEL, PANEL, 3) uint8 of the bar as it is now."""
-        s = self.body.splats
-        self.embedding.deform(self.solver.x, s.mean, s.cov, s.rotation)
-        return self.body.draw()
-
-
 def quarter_period(bar: TwistedBar) -> float:
     """A quarter of the period of torsion [s], by theory: the time in which a wave of torsion runs along the bar."""
     shear, _ = MATERIAL.lame_parameters
@@ -335,12 +294,6 @@ def turned(x: np.ndarray, angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     middle = x.mean(0)
     return (x - middle) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T + middle
-
-
-def enclosed(x: np.ndarray, asset: Asset) -> float:
-    """Volume of the bar's tets at x (V, 3)."""
-    corners = x[asset.cage.tets]
-    return float(np.linalg.det(corners[:, 1:] - corners[:, :1]).sum() / 6)
 
 
 def crossing_frequency(angle: np.ndarray) -> float:

@@ -6,9 +6,7 @@ runs fewer substeps, throws and seconds.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -20,28 +18,24 @@ KEYS = ("check", "relation", *HEAD[1:4], "pass")  # of a row in the JSON file
 VERDICTS = {True: "pass", False: "FAIL", None: "skipped"}
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """A measurement of one or more rows, in its quick and its full form."""
-
-    quick: Callable[[], list[dict]]
-    full: Callable[[], list[dict]]
-    name: str
-
-
-def both(function: Callable[[], list[dict]], quick: dict | None = None) -> Measurement:
-    """A measurement whose quick form differs from the full one by the arguments `quick` only."""
-    return Measurement(functools.partial(function, **quick or {}), function, function.__name__)
-
-
-MEASUREMENTS = (
-    *map(both, physics.ALL),
-    both(physics.energy_kept, quick={"substeps": 50_000, "vbd_substeps": 20_000}),
-    both(physics_contact.rigid_bodies),
-    both(physics_contact.ring_throws, quick={"count": 15, "seconds": 0.5}),
-    both(physics_contact.pile_at_rest, quick={"seconds": 5.0}),
-    both(physics.cuda_and_cpu),
+MEASUREMENTS: tuple[Callable[..., list[dict]], ...] = (
+    physics.free_fall,
+    physics.statics,
+    physics.vibration,
+    physics.decay,
+    physics.spinning_bar,
+    physics.recovery,
+    physics.energy_kept,
+    physics_contact.rigid_bodies,
+    physics_contact.ring_throws,
+    physics_contact.pile_at_rest,
+    physics.cuda_and_cpu,
 )
+QUICK = {  # arguments of their quick form
+    physics.energy_kept: {"substeps": 50_000, "vbd_substeps": 20_000},
+    physics_contact.ring_throws: {"count": 15, "seconds": 0.5},
+    physics_contact.pile_at_rest: {"seconds": 5.0},
+}
 
 
 def run(*, quick: bool, json: Path | None) -> int:
@@ -60,10 +54,11 @@ def run(*, quick: bool, json: Path | None) -> int:
     return 1 if failed else 0
 
 
-def measured(measurements: Iterable[Measurement], *, quick: bool) -> Iterator[dict]:
+def measured(measurements: Iterable[Callable[..., list[dict]]], *, quick: bool) -> Iterator[dict]:
     """Yield rows as they are measured."""
-    for m in measurements:
-        yield from (m.quick if quick else m.full)()
+    for measure in measurements:
+        arguments = QUICK.get(measure, {}) if quick else {}
+        yield from measure(**arguments)
 
 
 def show(rows: Iterable[dict], out=None) -> Iterator[dict]:

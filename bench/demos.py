@@ -9,7 +9,7 @@ device; that takes longer than a frame as it runs.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import taichi as ti
@@ -33,22 +33,15 @@ def run(*, names: list[str], detail: str, frames: int | None, quick: bool, size:
         make_ready(demo)  # whatever is missing is said before any is measured
     frames = frames or (QUICK_FRAMES if quick else FRAMES)
     print(heading(), flush=True)
-    for row in measure_all(demos, make_ready, size, frames, first=0 if quick else FIRST_SECOND):
+    for demo in demos:
+        make_ready(demo)
+        play = StereoPlay(registry.load(demo.scene, **demo.options), size)
+        row = measure(demo, play, frames, first=0 if quick else FIRST_SECOND)
+        play.close()
         print(line(row), flush=True)
         if not row["finite"]:
             print(f"vrgs: bench demos: not finite: {row['demo']}", file=sys.stderr)
         yield row | {"detail": detail}
-
-
-def measure_all(
-    demos: list[PaperDemo], make_ready: Callable[[PaperDemo], None], size: tuple[int, int], frames: int, first: int
-) -> Iterator[dict]:
-    """A row for each demo, each in a world of its own."""
-    for demo in demos:
-        make_ready(demo)
-        play = StereoPlay(registry.load(demo.scene, **demo.options), size)
-        yield measure(demo, play, frames, first)
-        play.close()
 
 
 def measure(demo: PaperDemo, play: StereoPlay, frames: int, first: int) -> dict:

@@ -9,25 +9,29 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 
+import cv2
 import numpy as np
 
 from core.errors import BadInput
 from core.report import Section, Table
+from prepare.inpaint import inpaint_pipeline as pipeline
+from prepare.inpaint.hole_patch import compare, cut_out, uncovered_psnr
+from prepare.inpaint.picture_inpainting import paint_from_patches
+from prepare.segment.object_ids import identified, masks_of
+from prepare.train.capture_files import read_capture
+from prepare.train.photographs import load_photograph, load_photographs
+from prepare.train.seeds import first_gaussians
+from prepare.train.train_options import CAPS, TrainOptions
+from prepare.train.trainer import Trainer
 
 TITLE = "Inpainting"
 WIDTH = 1100  # [px] of a picture on the page, at least
-
-
 STEPS, QUICK_STEPS = 1500, 400  # of training
 
 
 def inpainting_section(folder: Path | None, results: dict, report: Callable[[str], None], *, quick: bool) -> Section:
-    """The section of the capture in a folder, or without one a note on how to make one.
-
-    `quick`: one object, fewer steps.
-    """
+    """The section of the capture in a folder, or without one a note on how to make one; quick: of one object."""
     text = (
         "Toys on a table, photographed by ray casting, so that it is known what stands behind each. A splat is trained "
         "with their masks; an object's Gaussians are taken out; where no photograph shows what was behind them, a "
@@ -59,11 +63,6 @@ def inpainting_section(folder: Path | None, results: dict, report: Callable[[str
 
 def _measured(folder: Path, steps: int, report: Callable[[str], None], objects: int | None) -> dict[str, dict]:
     """Numbers and the picture of each object, or of the first few. Raises BadInput."""
-    from prepare.inpaint import inpaint_pipeline as pipeline
-    from prepare.inpaint.hole_patch import compare, uncovered_psnr
-    from prepare.inpaint.picture_inpainting import paint_from_patches
-    from prepare.train.photographs import load_photograph
-
     if not (folder / "behind").is_dir():
         raise BadInput(f"{folder}: shows nothing without its objects (make it: python -m studio --capture {folder})")
     capture, photographs, gaussians = _trained(folder, steps, report)
@@ -96,26 +95,15 @@ def _measured(folder: Path, steps: int, report: Callable[[str], None], objects: 
 
 def _trained(folder: Path, steps: int, report: Callable[[str], None]) -> tuple:
     """The capture, its photographs, and the Gaussians trained to them, with the ids of its objects."""
-    from prepare.segment.object_ids import identified, masks_of
-    from prepare.train.capture_files import read_capture
-    from prepare.train.photographs import load_photographs
-    from prepare.train.seeds import seeds, with_background
-    from prepare.train.train_options import CAPS, TrainOptions
-    from prepare.train.trainer import Trainer
-
     capture, masks = masks_of(read_capture(folder).upright(), folder / "masks", report)
     photographs = load_photographs(capture.views, 1, masks.ids)
     options = TrainOptions(steps=steps, cap=CAPS["cpu"], degree=1)
-    rng = np.random.default_rng(options.seed)
-    start = seeds(with_background(capture, photographs, rng), degree=options.degree, count=options.cap, rng=rng)
+    start = first_gaussians(capture, photographs, degree=options.degree, cap=options.cap, seed=options.seed)
     trainer = Trainer(photographs, start, capture.extent, options, masks.names)
-    begin = perf_counter()
     while trainer.done < steps:
         trainer.step()
         if trainer.done % max(steps // 4, 1) == 0:
-            left = (perf_counter() - begin) / trainer.done * (steps - trainer.done)
-            quality = f"PSNR {trainer.recent_loss().psnr:.1f} dB"
-            report(f"training, step {trainer.done} of {steps}, {quality}, {left:.0f} s left")
+            report(f"training, step {trainer.done} of {steps}, PSNR {trainer.recent_loss().psnr:.1f} dB")
     gaussians = identified(trainer)
     trainer.destroy()
     return capture, photographs, gaussians
@@ -123,10 +111,6 @@ def _trained(folder: Path, steps: int, report: Callable[[str], None]) -> tuple:
 
 def _strip(view, photographs) -> np.ndarray:
     """A view's photograph, and the pictures before, after and of the truth, side by side, (H, W, 3) uint8."""
-    import cv2
-
-    from prepare.inpaint.hole_patch import cut_out
-
     parts = [cut_out(photographs[view.view.index], view.view), view.before, view.after, view.truth]
     strip = np.concatenate(parts, axis=1)
     times = WIDTH / strip.shape[1]

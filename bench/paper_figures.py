@@ -9,22 +9,23 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
 from assets.file_access import atomic_write_all, check_writable, make_folder
 from bench.bar_figures import (
     DEFORMATIONS,
+    FRAME,
     HEIGHTS,
     MATERIAL,
     SCHEMES,
     WORST_SHOWN,
     TwistedBar,
-    arch,
-    measure_ablations,
+    measure_ablation,
     quarter_period,
     striped_bar,
 )
@@ -32,6 +33,7 @@ from bench.inpainting import inpainting_section
 from core.camera import look_at, perspective
 from core.fields import destroy_fields, keep_compiled_kernels
 from core.report import Section, Table, html_page
+from core.runtime import running_arch
 from core.typed import to_plain
 from display.picture import pixels_of
 from display.protocol import Frame
@@ -40,56 +42,39 @@ from display.world import World
 from scenes import registry
 from scenes.paper_demos import PaperDemo, paper_demos
 
-FRAME = 1 / 60  # [s]
 DARKENED = 0.02  # of the full brightness: pixels that lose more count as in shadow
 UNKNOWN = "–"
-DEVICES = {"cuda": "a CUDA GPU"}
+SMALL_TURN = 0.35  # [rad] of the bar, as the theory of small angles holds for
 SHADOWED = "just_dance"  # the demo that is shown without its shadows
 MARGIN = 14  # [px] of background around what a picture shows
 
 
-@dataclass(frozen=True)
-class Effort:
-    """Amount that is played and drawn.
+class Effort(NamedTuple):
+    """Amount that is played and drawn."""
 
-    deformations  of the embedding's ablation
-    turn          of the bar [rad], and small_turn: the one that is compared with the theory of small angles
-    seconds       of twisting, holding and swinging
-    demo_seconds  that a demo is played before its picture is taken
-    demos         names; empty: all
-    size          of the demos' pictures [px]
-    takes         time of each figure [s] on two CPU cores that compile nothing for the first time
-    """
-
-    deformations: tuple[str, ...]
-    turn: float
-    small_turn: float
-    seconds: tuple[float, float, float]
-    demo_seconds: float
-    demos: tuple[str, ...]
-    size: tuple[int, int]
-    takes: tuple[float, ...]
+    deformations: tuple[str, ...]  # of the embedding's ablation
+    turn: float  # of the bar [rad]
+    seconds: tuple[float, float, float]  # of twisting, holding and swinging
+    demo_seconds: float  # that a demo is played before its picture is taken
+    demos: tuple[str, ...]  # names; empty: all
+    size: tuple[int, int]  # of the demos' pictures [px]
 
 
 FULL = Effort(
     deformations=tuple(DEFORMATIONS),
     turn=np.pi,
-    small_turn=0.35,
     seconds=(1.5, 1.0, 2.5),
     demo_seconds=2.0,
     demos=(),
     size=(560, 315),
-    takes=(5.0, 22.0, 10.0, 15.0, 300.0, 250.0),
 )
 QUICK = Effort(
     deformations=("180 degrees",),
     turn=0.5 * np.pi,
-    small_turn=0.35,
     seconds=(0.3, 0.1, 0.6),
     demo_seconds=0.1,
     demos=(SHADOWED,),
     size=(160, 90),
-    takes=(4.0, 20.0, 8.0, 12.0, 45.0, 1.0),
 )
 
 
@@ -100,22 +85,23 @@ def run(*, out: Path, capture: Path | None, quick: bool) -> None:
     page, numbers = out / "figures.html", out / "figures.json"
     for file in (page, numbers):
         check_writable(file)
-    bar, plays = striped_bar(), Plays(effort.demo_seconds, effort.size)
-    results: dict = {"arch": arch(), "quick": quick}
+    bar, known = striped_bar(), {}
+    results: dict = {"arch": running_arch(), "quick": quick}
     figures: list[tuple[str, Callable[[], Section]]] = [
         ("two-level and one-level embedding", lambda: embedding_section(bar, effort, results)),
-        ("shadow", lambda: shadow_section(plays, results)),
+        ("shadow", lambda: shadow_section(effort, known, results)),
         ("twist", lambda: twist_section(bar, effort, results)),
         ("solvers", lambda: solver_section(bar, effort, results)),
         ("inpainting", lambda: inpainting_section(capture, results, _told, quick=quick)),
-        ("demos", lambda: demo_section(effort.demos, plays, results, _told)),
+        ("demos", lambda: demo_section(effort, known, results, _told)),
     ]
-    how = f"{DEVICES.get(arch(), 'the CPU')}{', quickly, at small sizes' if quick else ''}"
+    device = "a CUDA GPU" if running_arch() == "cuda" else "the CPU"
+    how = f"{device}{', quickly, at small sizes' if quick else ''}"
     sections: list[Section] = []
     begin = perf_counter()
     for k, (what, make) in enumerate(figures):
-        left = time_left(effort.takes, k, perf_counter() - begin)
-        print(f"[{k + 1}/{len(figures)}] {what}{left}", file=sys.stderr, flush=True)
+        passed = f" (after {perf_counter() - begin:.0f} s)" if k else ""
+        print(f"[{k + 1}/{len(figures)}] {what}{passed}", file=sys.stderr, flush=True)
         with keep_compiled_kernels():
             sections.append(make())
         still = "" if k + 1 == len(figures) else f" Not finished: {k + 1} of {len(figures)} figures."
@@ -123,20 +109,7 @@ def run(*, out: Path, capture: Path | None, quick: bool) -> None:
         with atomic_write_all(page, numbers) as (page_part, numbers_part):
             page_part.write_text(html_page("VR-GS: figures and tables", text, sections), encoding="utf-8")
             numbers_part.write_text(json.dumps(to_plain(results), indent=1) + "\n", encoding="utf-8")
-    print(f"wrote {page} and {numbers}, after {in_words(perf_counter() - begin)}", file=sys.stderr)
-
-
-def time_left(takes: tuple[float, ...], done: int, passed: float) -> str:
-    """A remark on the time that the remaining figures take, if they go on at the pace of those that are done."""
-    left, expected = sum(takes[done:]), sum(takes[:done])
-    if not done:
-        return f" (all figures: about {in_words(left)} on two free CPU cores)"
-    return f" ({in_words(passed)} passed, about {in_words(left * passed / expected)} left)"
-
-
-def in_words(seconds: float) -> str:
-    """A duration: "40 s", "5 min"."""
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+    print(f"wrote {page} and {numbers}, after {perf_counter() - begin:.0f} s", file=sys.stderr)
 
 
 PAPER = (
@@ -151,9 +124,9 @@ def _told(text: str) -> None:
 
 
 def embedding_section(bar, effort: Effort, results: dict) -> Section:
-    """The ablation of the embedding: spikes where a Gaussian follows one coarse tet alone."""
+    """The ablation of the embedding: jumps where a Gaussian follows one coarse tet alone."""
     found, shown = {}, {}
-    for row, (picture, errors) in measure_ablations("bar", bar, effort.deformations, draw=True):
+    for row, picture, errors in measure_ablation(bar, effort.deformations):
         key = row["deformation"], row["scheme"]
         found[key] = row
         shown |= {(*key, "picture"): picture, (*key, "errors"): errors}
@@ -163,7 +136,6 @@ def embedding_section(bar, effort: Effort, results: dict) -> Section:
         pairs = [[shown[title, scheme, what] for scheme in SCHEMES] for what in ("picture", "errors")]
         pictures[title] = np.concatenate([np.concatenate(pair, axis=1) for pair in pairs])
         table.append((title, *(f"{found[title, s][what]:.3f}" for what in ("error", "jump") for s in SCHEMES)))
-    spikes = max(row["spikes"] for row in found.values())
     return Section(
         "Two-level and one-level embedding",
         "A striped bar in a coarse cage is twisted and stretched by formula. Left, one-level: a Gaussian takes the "
@@ -173,8 +145,7 @@ def embedding_section(bar, effort: Effort, results: dict) -> Section:
         pictures,
         Table(("deformation", "error, one-level", "two-level", "jump, one-level", "two-level"), table),
         "Error: of the covariance, relative to the formula's; 95% of the Gaussians have less. Jump: of the error, from "
-        "one Gaussian to the next, 95% as well. Gaussians more than twice as elongated as they should be: at most "
-        f"{spikes:.2%}.",
+        "one Gaussian to the next, 95% as well.",
     )
 
 
@@ -202,7 +173,7 @@ def solver_section(bar, effort: Effort, results: dict) -> Section:
     """Both solvers on the swing of a bar."""
     rows, twisted = [], TwistedBar(bar)
     for name, method in (("xpbd", "XPBD"), ("vbd", "vertex block descent")):
-        found = twisted.twist(effort.small_turn, effort.seconds, name, draw=False)
+        found = twisted.twist(SMALL_TURN, effort.seconds, name, draw=False)
         measured, theory = found.frequency
         results[f"solver_{name}"] = {k: v for k, v in asdict(found).items() if k != "pictures"}
         swing = f"{measured:.2f} Hz ({measured / theory - 1:+.1%})" if np.isfinite(measured) else UNKNOWN
@@ -213,7 +184,7 @@ def solver_section(bar, effort: Effort, results: dict) -> Section:
     results["torsion_frequency_theory"] = theory
     return Section(
         "Solvers",
-        f"A bar of {MATERIAL.young / 1e3:.0f} kPa is twisted by {np.degrees(effort.small_turn):.0f}° and let go, with "
+        f"A bar of {MATERIAL.young / 1e3:.0f} kPa is twisted by {np.degrees(SMALL_TURN):.0f}° and let go, with "
         "each of the solvers.",
         {},
         Table(("method", "vertices", "substeps", "of", "iterations", "time a frame", "torsional swing"), rows),
@@ -237,51 +208,38 @@ def cropped(pictures: dict) -> dict:
     return {name: p[tuple(cuts)] for name, p in pictures.items()}
 
 
-@dataclass(frozen=True)
-class Played:
-    """A demo after its scripted player has played: its picture (H, W, 3) uint8 with shadows and without, statistics
-    of the run."""
+class Played(NamedTuple):
+    """A demo after its scripted player has played: pictures (H, W, 3) uint8, and statistics of the run."""
 
     picture: np.ndarray
     without_shadows: np.ndarray
     stats: dict
 
 
-class Plays:
-    """Demos that are played for a while, each once, whichever figures show it."""
-
-    def __init__(self, seconds: float, size: tuple[int, int]) -> None:
-        self.seconds, self.size = seconds, size
-        self._found: dict[str, Played] = {}
-
-    def of(self, demo: PaperDemo) -> Played:
-        """The demo, played."""
-        if demo.name not in self._found:
-            self._found[demo.name] = self._play(demo)
-        return self._found[demo.name]
-
-    def _play(self, demo: PaperDemo) -> Played:
-        scene, size = registry.load(demo.scene, **demo.options), self.size
-        world = World(scene, width=size[0], height=size[1])
-        camera = perspective(*size, scene.fov_y, look_at(np.array(scene.eye), np.array(scene.target)))
-        frames = max(round(self.seconds / FRAME), 2)
-        for k in range(frames):
-            time, last = (k + 1) * FRAME, k == frames - 1
-            world.step(Frame(FRAME, time, [camera] if last else [], world.scripted_hands(time)))
-        picture = pixels_of(world.picture)[..., :3].copy()
-        world.device.splats.visibility.fill(1.0)
-        world.device.renderer.render([camera])
-        without = pixels_of(world.picture)[..., :3].copy()
-        played = Played(picture, without, run_stats(world, frames))
-        with keep_compiled_kernels():
-            destroy_fields(list(vars(world.device).values()))  # Taichi holds the fields of a few worlds only
-        return played
+def play(demo: PaperDemo, effort: Effort, known: dict[str, Played]) -> Played:
+    """Play a demo for a while, and keep it in `known`, where it may be already."""
+    if demo.name in known:
+        return known[demo.name]
+    scene, size = registry.load(demo.scene, **demo.options), effort.size
+    world = World(scene, width=size[0], height=size[1])
+    camera = perspective(*size, scene.fov_y, look_at(np.array(scene.eye), np.array(scene.target)))
+    frames = max(round(effort.demo_seconds / FRAME), 2)
+    for k in range(frames):
+        time, last = (k + 1) * FRAME, k == frames - 1
+        world.step(Frame(FRAME, time, [camera] if last else [], world.scripted_hands(time)))
+    picture = pixels_of(world.picture)[..., :3].copy()
+    world.device.splats.visibility.fill(1.0)
+    world.device.renderer.render([camera])
+    known[demo.name] = Played(picture, pixels_of(world.picture)[..., :3].copy(), run_stats(world, frames))
+    with keep_compiled_kernels():
+        destroy_fields(list(vars(world.device).values()))  # Taichi holds the fields of a few worlds only
+    return known[demo.name]
 
 
-def shadow_section(plays: Plays, results: dict) -> Section:
+def shadow_section(effort: Effort, known: dict[str, Played], results: dict) -> Section:
     """One view with shadows and without."""
     (demo,) = paper_demos([SHADOWED])
-    played = plays.of(demo)
+    played = play(demo, effort, known)
     loss = (played.without_shadows.astype(float) - played.picture).mean(2) / 255
     dark = loss > DARKENED
     darker = float(1 - played.picture[dark].mean() / played.without_shadows[dark].mean()) if dark.any() else 0.0
@@ -300,14 +258,14 @@ def shadow_section(plays: Plays, results: dict) -> Section:
     )  # fmt: skip
 
 
-def demo_section(names: tuple[str, ...], plays: Plays, results: dict, report: Callable[[str], None]) -> Section:
-    """A picture of each demo, or of those of these names, after its scripted player has played for a while."""
-    demos = paper_demos(names)
+def demo_section(effort: Effort, known: dict[str, Played], results: dict, report: Callable[[str], None]) -> Section:
+    """A picture of each demo after its scripted player has played for a while."""
+    demos = paper_demos(effort.demos)
     pictures, rows, results["demos"] = {}, [], {}
     for k, demo in enumerate(demos, 1):
         title = demo.name.replace("_", " ")
         report(f"{title} ({k} of {len(demos)})")
-        played = plays.of(demo)
+        played = play(demo, effort, known)
         stats, pictures[title] = played.stats, played.picture
         counts = ("gaussians", "vertices", "tets", "iterations", "substeps", "integrator")
         results["demos"][demo.name] = {name: stats[name] for name in counts}
@@ -315,18 +273,10 @@ def demo_section(names: tuple[str, ...], plays: Plays, results: dict, report: Ca
             title, f"{stats['gaussians'] / 1e6:.3f} M", f"{demo.gaussians / 1e6:.3f} M", f"{stats['vertices']:,}",
             f"{demo.vertices:,}", str(demo.iterations), f"{demo.fps:g}",
         ))  # fmt: skip
-    columns = (
-        "demo",
-        "Gaussians",
-        "in the paper",
-        "cage vertices",
-        "in the paper",
-        "iterations of the paper",
-        "its fps",
-    )
+    columns = ("demo", "Gaussians", "in the paper", "cage vertices", "in the paper", "its iterations", "its fps")
     return Section(
         "Demos",
-        f"Each demo after {plays.seconds:g} s of its scripted play, with the shipped assets.",
+        f"Each demo after {effort.demo_seconds:g} s of its scripted play, with the shipped assets.",
         pictures,
         Table(columns, rows),
         "python -m studio --detail paper makes the demos at the paper's sizes; vrgs.py bench demos measures them.",

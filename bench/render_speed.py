@@ -6,7 +6,6 @@ Medians of synchronous calls of `Renderer.render`; the head turns slightly betwe
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from statistics import median
 from time import perf_counter
@@ -24,13 +23,12 @@ from render.splats import Splats
 ROOM_SIZE = (6.0, 3.0, 5.0)  # [m]
 EYE_DISTANCE = 0.064  # [m]
 SIGMA = 0.0085  # [m] median of the two long axes: about 6 tiles of 16 px a Gaussian in stereo, as in captured rooms
-SH_CHUNK = 1 << 18  # Gaussians whose harmonics are made at a time: ten million in float64 at once would take 4 GB
 SIZES = {"0.305M": 305_000, "1.313M": 1_313_000, "2.526M": 2_526_000}  # the paper's fox, animal crossing and bear
 
 
-def room(count: int, degree: int = 3, seed: int = 1) -> Gaussians:
-    """`count` flat Gaussians on walls, boxes and balls, most of them opaque, along a Z-order curve."""
-    rng = np.random.default_rng(seed)
+def room(count: int) -> Gaussians:
+    """`count` flat Gaussians of degree 3 on walls, boxes and balls, most of them opaque, along a Z-order curve."""
+    rng = np.random.default_rng(1)
     points, normals = surfaces(count, rng)
     points += normals * rng.normal(0, 0.004, (count, 1))
     log_scales = np.log(SIGMA) + rng.normal(0, 0.6, (count, 3))
@@ -39,9 +37,7 @@ def room(count: int, degree: int = 3, seed: int = 1) -> Gaussians:
     quats = turns_to(tilted, rng.uniform(0, np.pi, count))
     opaque = rng.random(count) < 0.6
     logits = np.where(opaque, rng.normal(3.0, 1.5, count), rng.normal(-1.5, 1.2, count))
-    sh = np.empty((count, (degree + 1) ** 2, 3), np.float32)
-    for begin in range(0, count, SH_CHUNK):
-        sh[begin : begin + SH_CHUNK] = rng.normal(0, 0.06, sh[begin : begin + SH_CHUNK].shape)
+    sh = rng.normal(0, 0.06, (count, 16, 3)).astype(np.float32)
     # stripes and checks, so that a wrong picture shows
     pattern = np.sin(2.5 * points + [0.0, 2.1, 4.2]) * np.sign(np.sin(6 * points.sum(axis=1)))[:, None]
     sh[:, 0] = 1.2 * pattern + rng.normal(0, 0.25, (count, 3))
@@ -147,19 +143,14 @@ def times(
     width: int,
     height: int,
     rounds: int,
-    *,
-    warm: int = WARM_PICTURES,
-    most: float = math.inf,
 ) -> list[float]:
-    """Wall times [s] of `rounds` pictures of a slowly turning head; at least three, then no more after `most` [s]."""
+    """Wall times [s] of `rounds` pictures of a slowly turning head."""
     result = []
-    for k in range(warm + rounds):
+    for k in range(WARM_PICTURES + rounds):
         cameras = eyes(width, height, turn=TURN * k)
         wait()
         begin = perf_counter()
         draw(cameras)
         wait()
         result.append(perf_counter() - begin)
-        if len(result) >= warm + 3 and sum(result[warm:]) > most:
-            break
-    return result[warm:]
+    return result[WARM_PICTURES:]

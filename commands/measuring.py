@@ -26,7 +26,7 @@ SUBJECTS = {  # module, options that it takes, and what it measures
     "sim": ("bench.sim_speed", "sizes rounds", "the solver, 400 substeps a frame"),
     "scene": (
         "bench.scene_speed",
-        "asset sizes materials acts bodies frames quick",
+        "asset sizes materials acts frames quick",
         "the solver, real bodies dropped, thrown, squeezed, piled up",
     ),
     "render": ("bench.render_speed", "gaussians size rounds", "a headset's picture, both eyes"),
@@ -35,13 +35,14 @@ SUBJECTS = {  # module, options that it takes, and what it measures
     "train": (
         "bench.training_speed",
         "names variants steps at cap seed reduce test_every",
-        "training on captures: quality, speed, memory, time by stage",
+        "training on captures: quality, speed, memory",
     ),
 }
 TAKERS = {  # subjects that take an option
     name: tuple(subject for subject, (_, takes, _) in SUBJECTS.items() if name in takes.split())
     for name in " ".join(takes for _, takes, _ in SUBJECTS.values()).split()
 }
+Variant = Literal["plain", "fast"]
 Act = Literal["drop", "throw", "squeeze", "stack"]
 RoomSize = Literal["0.305M", "1.313M", "2.526M"]
 
@@ -69,12 +70,11 @@ class BenchOptions(cli.Options):
     names: list[str] = cli.argument("NAME", "demos: which (default: all that are there); train: captures", [])
     detail: cli.Detail = cli.option(None, "demos: assets as shipped, or at the paper's sizes", "shipped")
     sizes: list[str] | None = cli.option("N", "vertices; sim: of 1.7k 9.3k 24k 46k; scene: any (default 10k 20k 46k)")
-    asset: list[str] | None = cli.option("FILE", "scene: splats, bodies (.h5), or ball, mug, ring, bunny, capsule")
+    asset: list[str] | None = cli.option("FILE", "scene: shipped bodies by name, or splat files (default: a few toys)")
     materials: list[str] = cli.option("NAME", "scene: (default: plush rubber wood)", ["plush", "rubber", "wood"])
     acts: list[Act] = cli.option(None, "scene: (default: all)", list(get_args(Act)))
     frames: cli.Count | None = cli.option("N", "scene, demos: a row (default 1000; quick 240, 30)")
     quick: bool = cli.switch("scene: one row, 2 s; demos: few frames")
-    bodies: Path | None = cli.option("DIR", "scene: folder of bodies made for it (default: in the user's cache)")
     gaussians: list[RoomSize] = cli.option(None, "render: rooms (default: all)", list(get_args(RoomSize)))
     size: cli.Size = cli.option("WxH", "render, demos: picture of an eye (default 1800x1920)", (1800, 1920))
     rounds: cli.Count = cli.option("N", "sim, render: frames measured (default 12)", 12)
@@ -84,7 +84,7 @@ class BenchOptions(cli.Options):
     test_every: cli.Count = cli.option("N", "train: keep every Nth photograph for the test (default 8)", 8)
     cap: cli.Count | None = cli.option("N", "train: most Gaussians (default as train's)")
     seed: int = cli.option("S", "train: seed of all random numbers", 0)
-    variants: list[str] = cli.option("V", "train: each `plain`, `fast` or like sparse=1,coarse=0.3", ["plain"])
+    variants: list[Variant] = cli.option(None, "train: plain, fast, or both in turn (default: plain)", ["plain"])
     json: Path | None = cli.option("OUT.json", "write the rows")
     arch: cli.Arch | None = cli.arch_option()
 

@@ -258,7 +258,7 @@ def with_poses(folder: Path, views: list[View], stages: Stages, say: Say, *, in_
 def _trainer(options: TrainOptions, capture, train: list, objects: list[str]):
     """The trainer at its start, and all options that its steps depend on."""
     from prepare.segment.object_ids import check_learned
-    from prepare.train.seeds import first_count, seeds, with_background
+    from prepare.train.seeds import first_gaussians
     from prepare.train.trainer import Trainer
 
     arch = running_arch()
@@ -279,9 +279,7 @@ def _trainer(options: TrainOptions, capture, train: list, objects: list[str]):
     if objects:
         check_learned(objects, train)
         about |= {"masks": str(options.masks), "objects": objects}
-    count = first_count(capture, cap)
-    rng = np.random.default_rng(options.seed)
-    start = seeds(with_background(capture, train, rng), degree=options.degree, count=count, rng=rng)
+    start = first_gaussians(capture, train, degree=options.degree, cap=cap, seed=options.seed)
     if len(capture.points) == 0:
         print(f"the capture has no points: starting with {len(start)} random Gaussians", file=sys.stderr)
     return Trainer(train, start, capture.extent, how, objects), about

@@ -9,11 +9,9 @@ harmonics each 1000 steps, 0.8 L1 + 0.2 (1 - SSIM) with SSIM of the pixels whose
 that do not count are left out as ours does it: the photograph is taken for what is drawn there.
 
 The example takes SSIM from fused-ssim, which is not on PyPI. Here it is plain convolutions with the gradient written by
-hand: slower than that, so the loss is also timed alone. Photographs lie on the GPU and nothing waits for the device but
-at refinements, so that the example's data loader and progress bar cost nothing.
-
-As shipped, 1.5.3 never resets opacities: `step % self.reset_every == 0 & step > 0` compares with `0 & step`, so the
-condition is never true. --reset does it each 3000 steps as the option's documentation has it.
+hand, which is slower. Photographs lie on the GPU and nothing waits for the device, so that the example's data loader
+and progress bar cost nothing. As shipped, 1.5.3 never resets opacities: `step % self.reset_every == 0 & step > 0` is
+never true.
 """
 
 import argparse
@@ -25,12 +23,11 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from gsplat import DefaultStrategy, rasterization
-from gsplat.strategy.ops import reset_opa
 
 from assets.gaussians import Gaussians
-from bench.training_speed import STAGE_STEPS, device_memory, listed, print_rows, read_training_capture
+from bench.training_speed import device_memory, print_rows, print_test, read_training_capture
 from core.errors import BadInput
-from prepare.train.seeds import first_count, seeds, with_background
+from prepare.train.seeds import first_gaussians
 
 DEGREE, DEGREE_INTERVAL = 3, 1000
 RATES = {"means": 1.6e-4, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
@@ -112,8 +109,8 @@ class Target:
 class Training:
     """gsplat's training of the first Gaussians `start` to `targets`."""
 
-    def __init__(self, targets, start: Gaussians, scale: float, steps: int, *, reset: bool, seed: int, device):
-        self.targets, self.steps, self.reset, self.device = targets, steps, reset, device
+    def __init__(self, targets, start: Gaussians, scale: float, steps: int, *, seed: int, device):
+        self.targets, self.device = targets, device
         self.rng, self.queue, self.done = np.random.default_rng(seed), [], 0
         torch.manual_seed(seed)
         values = {"means": start.means, "scales": start.log_scales, "quats": start.quats}
@@ -135,7 +132,6 @@ class Training:
         self.strategy = DefaultStrategy()
         self.strategy.check_sanity(self.params, self.optimizers)
         self.state = self.strategy.initialize_state(scene_scale=scale)
-        self.refining = 0.0  # [s]
 
     def draw(self, target: Target, degree: int):
         """The picture (1, H, W, 3) and gsplat's info."""
@@ -170,14 +166,7 @@ class Training:
         target.loss(drawn).backward()
         self.optimize()
         self.decay.step()
-        s = self.strategy
-        refines = s.refine_start_iter < step < s.refine_stop_iter and step % s.refine_every == 0
-        begin = self.now() if refines else 0.0
-        s.step_post_backward(**about, packed=False)
-        if self.reset and 0 < step < s.refine_stop_iter and step % s.reset_every == 0:
-            reset_opa(self.params, self.optimizers, self.state, s.prune_opa * 2.0)
-        if refines:
-            self.refining += self.now() - begin
+        self.strategy.step_post_backward(**about, packed=False)
         self.done += 1
 
     def optimize(self) -> None:
@@ -197,25 +186,6 @@ class Training:
         """PSNR and SSIM of each of `targets`."""
         return [t.quality(self.draw(t, DEGREE)[0]) for t in targets]
 
-    def stages(self, count: int) -> dict[str, float]:
-        """Milliseconds of a step by stage, means over `count` more steps without refinement."""
-        names = ("draw", "loss and its gradient", "backward", "Adam")
-        spent = dict.fromkeys(names, 0.0)
-        for _ in range(count):
-            target, times = self.next_target(), [self.now()]
-            drawn, _ = self.draw(target, DEGREE)
-            times.append(self.now())
-            leaf = drawn.detach().requires_grad_()
-            target.loss(leaf).backward()
-            times.append(self.now())
-            drawn.backward(leaf.grad)
-            times.append(self.now())
-            self.optimize()
-            times.append(self.now())
-            for name, begin, end in zip(names, times, times[1:], strict=False):
-                spent[name] += 1e3 * (end - begin) / count
-        return spent
-
     def gaussians(self) -> Gaussians:
         """The Gaussians as they are now."""
         p = {name: value.detach().cpu().numpy() for name, value in self.params.items()}
@@ -226,11 +196,9 @@ class Training:
 def train(path: Path, args, device) -> list[dict]:
     """A row for each of `args.at` steps. Raises BadInput."""
     capture, learned, kept = read_training_capture(path, args.reduce, args.test_every)
-    rng, count = np.random.default_rng(args.seed), first_count(capture, args.cap)
-    start = seeds(with_background(capture, learned, rng), degree=DEGREE, count=count, rng=rng)
+    start = first_gaussians(capture, learned, degree=DEGREE, cap=args.cap, seed=args.seed)
     targets, tests = [Target(p, device) for p in learned], [Target(p, device) for p in kept]
-    about = {"reset": args.reset, "seed": args.seed, "device": device}
-    training = Training(targets, start, capture.extent, args.steps, **about)
+    training = Training(targets, start, capture.extent, args.steps, seed=args.seed, device=device)
     rows, seconds = [], 0.0
     while training.done < args.steps:
         begin = training.now()
@@ -241,23 +209,20 @@ def train(path: Path, args, device) -> list[dict]:
                 print(f"{path.name}: step {training.done}/{args.steps}", file=sys.stderr, flush=True)
         seconds += training.now() - begin
         qualities = training.qualities(tests)
-        psnr, ssim = np.mean(qualities, axis=0) if qualities else (float("nan"),) * 2
+        psnr, ssim = np.mean(qualities, axis=0)
         row = {"bench": "train", "program": "gsplat 1.5.3", "capture": path.name, "step": training.done}
         row |= {"psnr": psnr, "ssim": ssim, "gaussians": len(training.params["means"]), "seconds": seconds}
         row["psnr_of_each"] = [round(quality[0], 2) for quality in qualities]
-        row |= {"steps_per_second": training.done / seconds, "refining_seconds": training.refining}
-        row |= {"device_mb": device_memory(), "views": len(learned), "test_views": len(kept), "reset": args.reset}
+        row |= {"steps_per_second": training.done / seconds}
+        row |= {"device_mb": device_memory(), "views": len(learned), "test_views": len(kept)}
         if device.type == "cuda":
             row |= {"tensors_mb": torch.cuda.max_memory_allocated() / 2**20, "device": torch.cuda.get_device_name()}
         rows.append(row)
-        text = f"{path.name}: {psnr:.2f} dB, SSIM {ssim:.3f}, {row['gaussians']} Gaussians, {seconds:.1f} s"
-        print(f"{text}, of which refining {training.refining:.1f} s", file=sys.stderr)
-        print(f"  each held-out photograph: {listed(row['psnr_of_each'])} dB", file=sys.stderr, flush=True)
+        print_test(path.name, row)
     if args.out:
         from assets.splat_files import write_gaussians
 
         write_gaussians(args.out, training.gaussians())
-    rows[-1]["stages_ms"] = training.stages(STAGE_STEPS)
     return rows
 
 
@@ -271,7 +236,6 @@ def main() -> int:
     p.add_argument("--test-every", type=int, default=8)
     p.add_argument("--cap", type=int, default=2_000_000, help="most points to start from")
     p.add_argument("--seed", type=int, default=0)
-    p.add_argument("--reset", action="store_true", help="reset opacities each 3000 steps, which 1.5.3 does not")
     p.add_argument("--json", type=Path)
     p.add_argument("--out", type=Path, help="the Gaussians (of the last capture), OUT.ply")
     p.add_argument("--device", default="cuda")

@@ -24,6 +24,15 @@ FARTHEST = 20.0  # extents to the farthest of them
 BLACK = 8  # of 255; pixels up to it look like that without a Gaussian
 
 
+def first_gaussians(
+    capture: Capture, photographs: Sequence[Photograph], *, degree: int, cap: int, seed: int
+) -> Gaussians:
+    """The Gaussians with which a training with a budget of `cap` begins."""
+    rng = np.random.default_rng(seed)
+    count = first_count(capture, cap)
+    return seeds(with_background(capture, photographs, rng), degree=degree, count=count, rng=rng)
+
+
 def first_count(capture: Capture, cap: int) -> int:
     """Limit of initial Gaussians for a budget: all of it, or without points a quarter, which leaves room for growth."""
     return cap if _has_points(capture) else max(1, min(RANDOM_COUNT, cap // 4))

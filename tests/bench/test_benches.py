@@ -2,28 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from assets.asset import Asset, Cage
-from assets.gaussians import Gaussians
 from bench import bar_figures, render_speed
-from bench import render_speed as rooms
-from bench.physics import random_gaussians, tet_bar
 from core.tetmesh import boundary_surface
-
-
-def test_a_room_is_the_same_whether_its_harmonics_are_made_in_chunks_or_at_once(monkeypatch):
-    whole = rooms.room(3000)
-    monkeypatch.setattr(rooms, "SH_CHUNK", 700)
-    chunks = rooms.room(3000)
-    for name in Gaussians.__dataclass_fields__:
-        assert_array_equal(getattr(chunks, name), getattr(whole, name))
-
-
-def test_a_slow_device_draws_three_pictures_and_no_more():
-    drawn = []
-    assert len(render_speed.times(drawn.append, lambda: None, 32, 32, 50, warm=2, most=0.0)) == 3 and len(drawn) == 5
-    assert len(render_speed.times(drawn.append, lambda: None, 32, 32, 4)) == 4
+from tests.support.samples import random_gaussians, tet_bar
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -50,10 +34,9 @@ def test_two_levels_are_smoother_than_one_and_the_page_shows_them(ti_cpu):
     g = random_gaussians(np.random.default_rng(0), 2000, low=low, high=high, sigma=0.002)
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), x, tets)
     bar = Asset(g, Cage(x, tets, boundary_surface(tets)), embedded)
-    measured = bar_figures.measure_ablations("bar", bar, ["180 degrees"], draw=True)
-    (one, (_, redder)), (two, (picture, errors)) = measured
+    (one, _, redder), (two, picture, errors) = bar_figures.measure_ablation(bar, ["180 degrees"])
     assert (picture != errors).any() and redder.mean() < errors.mean() - 0.1
-    assert two["jump"] < 0.5 * one["jump"] and two["spikes"] <= one["spikes"] < 0.01
+    assert two["jump"] < 0.5 * one["jump"]
     assert 0.05 < two["error"] < 1.2 * one["error"] < 0.6
     assert picture.shape[0] == bar_figures.PANEL and (picture < 200).mean() > 0.02
 

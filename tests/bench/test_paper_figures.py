@@ -46,17 +46,12 @@ def test_a_twisted_bar_agrees_with_theory(ti_cpu):
     assert found.left < 1.0 and not found.pictures
 
 
-def test_the_time_left_follows_the_pace_so_far():
-    assert paper_figures.time_left((10.0, 20.0, 30.0), 0, 0.0) == " (all figures: about 60 s on two free CPU cores)"
-    assert paper_figures.time_left((10.0, 20.0, 30.0), 2, 120.0) == " (2 min passed, about 2 min left)"
-
-
 def test_what_is_interrupted_leaves_a_page_of_the_figures_that_are_made(tmp_path, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(paper_figures, "striped_bar", lambda: None)
-    monkeypatch.setattr(paper_figures, "arch", lambda: "cpu")
+    monkeypatch.setattr(paper_figures, "running_arch", lambda: "cpu")
     monkeypatch.setattr(paper_figures, "embedding_section", lambda *_: Section("the first", "text", {}))
     monkeypatch.setattr(paper_figures, "shadow_section", interrupted)
     with pytest.raises(KeyboardInterrupt):

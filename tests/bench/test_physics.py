@@ -9,11 +9,11 @@ from numpy.testing import assert_array_equal
 import vrgs
 from bench import check, physics
 
-HERE = [m for m in check.MEASUREMENTS if hasattr(physics, m.name)]  # tests/sim measures contact
+HERE = [m for m in check.MEASUREMENTS if m.__module__ == physics.__name__]  # tests/sim measures contact
 
 
 @pytest.mark.usefixtures("ti_cpu")
-@pytest.mark.parametrize("measurement", HERE, ids=lambda m: m.name)
+@pytest.mark.parametrize("measurement", HERE, ids=lambda m: m.__name__)
 def test_the_table_holds(measurement):
     rows = list(check.show(check.measured([measurement], quick=True)))
     assert rows
@@ -31,11 +31,13 @@ def test_another_process_finds_the_same_positions_on_the_cpu(ti_cpu):
     assert_array_equal(physics.positions_of_another_process(contacts=False), x)
 
 
-def rows_of(*verdicts) -> tuple[check.Measurement, ...]:
-    """Measurements of one row each, with these verdicts."""
+def measures_with(monkeypatch, *verdicts) -> None:
+    """Let the command measure a row for each of these verdicts, in its full form two."""
     given = {"relation": "=", "reference": 1.0, "measured": np.float64(2), "tolerance": 3}
     rows = [{"check": str(v), **given, "pass": v} for v in verdicts]
-    return tuple(check.Measurement(lambda r=r: [r], lambda r=r: [r, r], r["check"]) for r in rows)
+    measurements = [lambda count=2, row=row: [row] * count for row in rows]
+    monkeypatch.setattr(check, "MEASUREMENTS", measurements)
+    monkeypatch.setattr(check, "QUICK", {measure: {"count": 1} for measure in measurements})
 
 
 @pytest.mark.parametrize(
@@ -47,7 +49,7 @@ def rows_of(*verdicts) -> tuple[check.Measurement, ...]:
     ],
 )
 def test_the_command_prints_writes_and_returns_its_verdict(monkeypatch, tmp_path, capsys, verdicts, status, summary):
-    monkeypatch.setattr(check, "MEASUREMENTS", rows_of(*verdicts))
+    measures_with(monkeypatch, *verdicts)
     assert vrgs.main(["--arch", "cpu", "check", "--quick", "--json", str(tmp_path / "t.json")]) == status
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == list(check.HEAD) and lines[-1].startswith(summary)
@@ -65,7 +67,7 @@ def test_the_command_prints_writes_and_returns_its_verdict(monkeypatch, tmp_path
 
 
 def test_the_full_form_is_the_default(monkeypatch, capsys):
-    monkeypatch.setattr(check, "MEASUREMENTS", rows_of(True))
+    measures_with(monkeypatch, True)
     assert vrgs.main(["check"]) == 0
     assert "2 of 2 rows pass" in capsys.readouterr().out
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.physics import random_gaussians, tet_bar
 from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
 from prepare.cage.embedding_hosts import embed, fraction_inside
+from tests.support.samples import random_gaussians, tet_bar
 
 BAR = tet_bar((10, 2, 2), (1.0, 0.2, 0.2))
 CORNERS = np.sqrt(3.0) * np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])

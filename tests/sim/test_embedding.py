@@ -9,11 +9,11 @@ from scipy.spatial import cKDTree
 
 from assets.asset import CageEmbedding
 from assets.gaussians import Gaussians
-from bench.physics import random_gaussians, tet_bar
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from prepare.cage.embedding_hosts import embed
 from sim.embedding import BodySpan, EmbeddedBody, Embedding
+from tests.support.samples import random_gaussians, tet_bar
 
 BAR = tet_bar((10, 2, 2), (1.0, 0.2, 0.2))
 SCHEMES = ("two-level", "one-level")

@@ -159,4 +159,4 @@ def test_a_wire_thinner_than_the_samples_holds_a_ring(plates):
 @pytest.mark.long
 @pytest.mark.parametrize(("peg", "stretch"), [(0.02, 1.0), (0.04, 2.0), (0.08, 2.0)])
 def test_rings_stay_on_their_pegs(ti_cpu, peg, stretch):
-    assert linked_throws(15, 5.0, peg=peg, stretch=stretch, seconds=0.5) == 15
+    assert linked_throws(15, peg=peg, stretch=stretch, seconds=0.5) == 15

@@ -3,7 +3,7 @@
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
-from bench.measured_bodies import SHAPES
+from tests.support.distance_shapes import SHAPES
 from tests.support.shells import shell
 
 

@@ -9,6 +9,7 @@ from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
+from core.tetmesh import box_mesh
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
@@ -23,6 +24,19 @@ def some_gaussians(n: int = 30, degree: int = 3, seed: int = 0) -> Gaussians:
         rng.normal(size=n),
         rng.normal(0, 0.3, size=(n, SH_COUNTS[degree], 3)),
     )
+
+
+def random_gaussians(rng, count, *, low=(0, 0, 0), high=(1, 0.2, 0.2), sigma=0.01, spread=0.5) -> Gaussians:
+    """Gaussians uniform in a box [m] with standard deviations of median `sigma` [m] and log-normal `spread`."""
+    scales = sigma * np.exp(spread * rng.normal(size=(count, 3)))
+    quats, means = rng.normal(size=(count, 4)), rng.uniform(low, high, (count, 3))
+    return Gaussians.of(means, quats, np.log(scales), np.zeros(count), np.zeros((count, 1, 3)))
+
+
+def tet_bar(cells, size) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] (V, 3) float32 and tets (T, 4) of the box [0, size], as an asset's cage holds them."""
+    x, tets, _ = box_mesh(size, cells, mirror=False)
+    return x.astype(np.float32), tets
 
 
 def discs(points, scales=0.02, colors=0.5) -> Gaussians:

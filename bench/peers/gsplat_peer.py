@@ -14,6 +14,7 @@ from statistics import median
 
 import numpy as np
 
+from assets.file_access import write_json
 from bench.render_speed import SIZES, eyes, room
 from core.runtime import start_taichi
 
@@ -102,8 +103,6 @@ def main() -> int:
             flush=True,
         )
     if args.json:
-        from assets.file_access import write_json
-
         write_json(args.json, rows)
     return int(any(row["difference"] > AGREE for row in rows))
 

@@ -1,7 +1,7 @@
 """Training with gsplat 1.5.3 on the photographs, masks, cameras, first Gaussians and test split of `vrgs.py train`.
 
     pip install -r bench/peers/requirements-gsplat.txt
-    python -m bench.peers.gsplat_training CAPTURE... [--steps 30000] [--at 7000 30000] [--json OUT.json] [--out OUT.ply]
+    python -m bench.peers.gsplat_training CAPTURE... [--steps 30000] [--at 7000 30000] [--json OUT.json]
 
 Its default strategy with the values of its examples/simple_trainer.py: packed=False, fused Adam, learning rates
 1.6e-4 times the scene's scale (decaying to a hundredth), 5e-3, 5e-2, 1e-3, 2.5e-3, 2.5e-3 / 20, one more degree of the
@@ -24,6 +24,7 @@ import torch
 import torch.nn.functional as F
 from gsplat import DefaultStrategy, rasterization
 
+from assets.file_access import write_json
 from assets.gaussians import Gaussians
 from bench.training_speed import device_memory, print_rows, print_test, read_training_capture
 from core.errors import BadInput
@@ -186,12 +187,6 @@ class Training:
         """PSNR and SSIM of each of `targets`."""
         return [t.quality(self.draw(t, DEGREE)[0]) for t in targets]
 
-    def gaussians(self) -> Gaussians:
-        """The Gaussians as they are now."""
-        p = {name: value.detach().cpu().numpy() for name, value in self.params.items()}
-        sh = np.concatenate([p["sh0"], p["shN"]], axis=1)
-        return Gaussians.of(p["means"], p["quats"], p["scales"], p["opacities"], sh)
-
 
 def train(path: Path, args, device) -> list[dict]:
     """A row for each of `args.at` steps. Raises BadInput."""
@@ -219,10 +214,6 @@ def train(path: Path, args, device) -> list[dict]:
             row |= {"tensors_mb": torch.cuda.max_memory_allocated() / 2**20, "device": torch.cuda.get_device_name()}
         rows.append(row)
         print_test(path.name, row)
-    if args.out:
-        from assets.splat_files import write_gaussians
-
-        write_gaussians(args.out, training.gaussians())
     return rows
 
 
@@ -237,7 +228,6 @@ def main() -> int:
     p.add_argument("--cap", type=int, default=2_000_000, help="most points to start from")
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--json", type=Path)
-    p.add_argument("--out", type=Path, help="the Gaussians (of the last capture), OUT.ply")
     p.add_argument("--device", default="cuda")
     args = p.parse_args()
     torch.backends.cudnn.allow_tf32 = False  # of SSIM's windows
@@ -247,8 +237,6 @@ def main() -> int:
             rows += train(path, args, torch.device(args.device))
             print_rows(rows)
             if args.json:
-                from assets.file_access import write_json
-
                 write_json(args.json, rows)
     except BadInput as e:
         print(e, file=sys.stderr)

@@ -104,8 +104,7 @@ class DeviceScene:
         if moving:
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=rotates, headroom=HEADROOM, reserve=more)
         self.animations = [animation for k, piece in enumerate(moving) for animation in piece.targets(k)]
-        casters = (first_caster, self.splats.count)
-        self.shadow = None if self.light is None else ShadowMap(self.splats, self.light, casters)
+        self.shadow = None if self.light is None else ShadowMap(self.splats, self.light, first_caster)
         captured = [k for k, piece in enumerate(moving) if piece.placed.captured]
         if self.shadow is not None and captured:
             self.deform()  # from the bodies' own frames to where they stand
@@ -127,9 +126,7 @@ class DeviceScene:
     def show(self, spans: list[BodySpan], packed: list[PackedBody], count: int) -> None:
         """Embed these spans, and draw only the first `count` Gaussians."""
         self.embedding.load(spans, packed)
-        self.splats.set_count(count)
-        if self.shadow is not None:
-            self.shadow.set_end(count)
+        self.splats.count = count
 
     def deform(self) -> None:
         """Move the bodies' Gaussians to where the solver has the vertices."""

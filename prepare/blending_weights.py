@@ -76,8 +76,7 @@ class BlendingWeights:
             self._size = tuple(max(sides) for sides in zip(size, self._size, self._first, strict=True))
             self._renderer = renderer = Renderer(self._splats, *self._size, outputs="float", sort=self._sort)
         if (renderer.width, renderer.height) != size:
-            renderer.rasterizer.resize(*size)
-            renderer.width, renderer.height = size
+            renderer.resize(*size)
         renderer.render([camera])
         self._camera = numbers_of(camera)
 

@@ -42,11 +42,6 @@ class DepthOrder:
         return value_of(self.sorter.sorted_items[k])
 
     @ti.func
-    def sort(self):
-        """Sort visible Gaussians by depth; outermost level of a kernel."""
-        self.sorter.sort()
-
-    @ti.func
     def count_pairs(self):
         """Count the tiles of each Gaussian in order and scan the counts; outermost level of a kernel."""
         for k in range(self.sorter.kept[None]):
@@ -113,11 +108,6 @@ class TileBins:
         for i in range(self.large_count[None] * self.emit_threads):
             k = self.large[i // self.emit_threads]
             self._emit_large(self.order.gaussian(k), self.order.first_pair[k], i % self.emit_threads)
-
-    @ti.func
-    def sort(self):
-        """Sort the pairs stably by tile; outermost level of a kernel."""
-        self.sorter.sort()
 
     @ti.func
     def find_ranges(self):

@@ -47,13 +47,6 @@ def exp2(x: ti.f32) -> ti.f32:
 
 
 @ti.func
-def tile_origin(projection: ti.template(), in_view: ti.i32, size: ti.template()):
-    """First column and row [px] of a tile of a view; `size`: (width, height) of a tile."""
-    columns = projection.grid[None][2]
-    return in_view % columns * size[0], in_view // columns * size[1]
-
-
-@ti.func
 def pixel_of(x0, y0, cell, member, across: ti.template()):
     """Column and row [px] of a pixel of a cell, in a tile that begins at (x0, y0) and is `across` cells wide."""
     return x0 + cell % across * CELL + member % CELL, y0 + cell // across * CELL + member // CELL
@@ -164,12 +157,9 @@ class Blend:
         ti.loop_config(block_dim=4)
         for block in range(self.projection.views * self.bins.tiles_per_view() * self.segments):
             tile, s = block // self.segments, block % self.segments
-            width, height = self.projection.grid[None][0], self.projection.grid[None][1]
-            if ti.static(self.projection.compares):  # noqa: SIM102
-                if not self.projection.changed.has(tile):
-                    continue
-            v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
-            x0, y0 = tile_origin(self.projection, in_view, (CPU_TILE, CPU_TILE))
+            if not self.projection.draws(tile):
+                continue
+            v, x0, y0 = self.projection.place_of(tile, (CPU_TILE, CPU_TILE))
             T, red, green, blue, depth = filled(1.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)
             top, bottom = 0, CPU_TILE - 1  # rows that are not finished
             begin, end = self._segment(tile, s)
@@ -207,7 +197,7 @@ class Blend:
                         break
             for q in range(CPU_TILE * CPU_TILE):
                 x, y = x0 + q % CPU_TILE, y0 + q // CPU_TILE
-                if x < width and y < height:
+                if self.projection.inside(x, y):
                     rgb = ti.math.vec3(red[q], green[q], blue[q])
                     sink.write(out, v * self.segments + s, y, x, rgb, depth[q], 1.0 - ti.abs(T[q]))
 
@@ -218,9 +208,7 @@ class Blend:
         for thread in range(self.projection.views * self.bins.tiles_per_view() * self.segments * BLEND_THREADS):
             block, lane = thread // BLEND_THREADS, thread % BLEND_THREADS
             tile, s = block // self.segments, block % self.segments
-            width, height = self.projection.grid[None][0], self.projection.grid[None][1]
-            v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
-            x0, y0 = tile_origin(self.projection, in_view, GPU_TILE)
+            v, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // 32, lane % 32
             x, y = pixel_of(x0, y0, cell, member, ACROSS)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
@@ -228,7 +216,7 @@ class Blend:
             limit = ti.Vector([MIN_TRANSMITTANCE] * PIXELS)  # T must stay above it to go on; no T is above 1
             red, green, blue = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
             for p in ti.static(range(PIXELS)):
-                if x >= width or y + p * ROW_STEP >= height:
+                if not self.projection.inside(x, y + p * ROW_STEP):
                     limit[p] = 1.0
             begin, end = self._segment(tile, s)
             for batch in range((end - begin + BATCH - 1) // BATCH):
@@ -260,7 +248,7 @@ class Blend:
                                 green[p] += weight * splat[8]
                                 blue[p] += weight * splat[9]
             for p in ti.static(range(PIXELS)):
-                if x < width and y + p * ROW_STEP < height:
+                if self.projection.inside(x, y + p * ROW_STEP):
                     rgb = ti.math.vec3(red[p], green[p], blue[p])
                     sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - T[p])
 

@@ -29,7 +29,6 @@ from render.blend import (
     pixel_of,
     splat_color,
     splat_words,
-    tile_origin,
     unfinished_rows,
 )
 from render.footprint import CUTOFF_BITS
@@ -38,7 +37,6 @@ from render.radix_sort import value_of
 
 LN2 = math.log(2.0)
 BEHIND_ALL = 0.0  # [1/m] of empty splats that follow the last one: they drain the buffer
-CPU_PIXELS = CPU_TILE * CPU_TILE  # pixels of a CPU block
 MIN_ALPHA = 1e-10  # least opacity by which a pixel's depth is divided, as in the picture
 SUMS = 10  # accumulated numbers per Gaussian
 GEOMETRY = 7  # of them, the first, which `into` shares
@@ -68,7 +66,7 @@ class BlendGradients:
 
     The sum behind i is that of the whole pixel, known from the picture, minus the sum up to i: so splats are traversed
     front to back as in the forward pass, and each pixel stops where it stopped there. Pixels that have an order
-    of their own (sort="pixel", with a buffer of `buffer_size` splats) are walked one by one.
+    of their own (sort="pixel", with a buffer of BUFFER_SIZE splats) are walked one by one.
 
     `sums` (capacity, SUMS) accumulate over pixels, with d their offset [px] from the splat's centre and p the
     derivative with respect to the exponent: p, p d_x, p d_y, p d_x^2, p d_x d_y, p d_y^2, then dL/dz, dL/dcolour.
@@ -76,13 +74,13 @@ class BlendGradients:
 
     def __init__(
         self, bins: TileBins, picture, *, with_depth: bool = True, with_geometry: bool = True, color=None,
-        into: "BlendGradients | None" = None, buffer_size: int = BUFFER_SIZE,
+        into: "BlendGradients | None" = None,
     ):  # fmt: skip
         self.bins, self.projection, self.picture = bins, bins.projection, picture
         self.color, self.other_color, self.adds = color, color is not None, into is not None
         self.with_geometry = with_geometry
         self.with_depth, self.on_gpu, self.keeps_index = with_depth, ti.cfg.arch == ti.cuda, True
-        self.by_pixel, self.buffer_size = self.projection.with_slope, buffer_size
+        self.by_pixel = self.projection.with_slope
         if self.projection.views != 1:
             raise ValueError("gradients are those of one view")
         _, height, width = picture.alpha.shape
@@ -149,20 +147,18 @@ class BlendGradients:
 
     @ti.func
     def _backward_cpu(self):
-        columns, rows = ti.static(self.projection.tile[0] // CPU_TILE, self.projection.tile[1] // CPU_TILE)
-        for block in range(self.bins.tiles_per_view() * columns * rows):
-            tile, part = block // (columns * rows), block % (columns * rows)
-            x0, y0 = tile_origin(self.projection, tile, self.projection.tile)
-            self._backward_block(tile, x0 + part % columns * CPU_TILE, y0 + part // columns * CPU_TILE)
+        for tile in range(self.bins.tiles_per_view()):
+            self._backward_tile(tile)
 
     @ti.func
-    def _backward_block(self, tile: ti.i32, x0: ti.i32, y0: ti.i32):
-        """Add the gradients of a block of pixels of a tile; the pixels' states are arrays, as in `Blend`."""
+    def _backward_tile(self, tile: ti.i32):
+        """Add the gradients of a tile; the pixels' states are arrays, as in `Blend`."""
+        _, x0, y0 = self.projection.place_of(tile, (CPU_TILE, CPU_TILE))
         T, behind = filled(1.0), filled(0.0)
         red, green, blue, depth, opaque = filled(0.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)
-        for q in range(CPU_PIXELS):
+        for q in range(CPU_TILE * CPU_TILE):
             x, y = x0 + q % CPU_TILE, y0 + q // CPU_TILE
-            if x < self.projection.grid[None][0] and y < self.projection.grid[None][1]:
+            if self.projection.inside(x, y):
                 d_c, d_sum, d_alpha, total = self.pixel(y, x)
                 red[q], green[q], blue[q], depth[q], opaque[q] = d_c.r, d_c.g, d_c.b, d_sum, d_alpha
                 behind[q] = total
@@ -220,8 +216,7 @@ class BlendGradients:
         ti.loop_config(block_dim=BLEND_THREADS)
         for thread in range(self.bins.tiles_per_view() * BLEND_THREADS):
             tile, lane = thread // BLEND_THREADS, thread % BLEND_THREADS
-            width, height = self.projection.grid[None][0], self.projection.grid[None][1]
-            x0, y0 = tile_origin(self.projection, tile, GPU_TILE)
+            _, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // 32, lane % 32
             x, y = pixel_of(x0, y0, cell, member, ACROSS)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
@@ -231,7 +226,7 @@ class BlendGradients:
             red, green, blue = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
             depth, opaque = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
             for p in ti.static(range(PIXELS)):
-                if x < width and y + p * ROW_STEP < height:
+                if self.projection.inside(x, y + p * ROW_STEP):
                     d_c, d_sum, d_alpha, total = self.pixel(y + p * ROW_STEP, x)
                     red[p], green[p], blue[p], depth[p], opaque[p] = d_c.r, d_c.g, d_c.b, d_sum, d_alpha
                     behind[p] = total
@@ -300,22 +295,21 @@ class BlendGradients:
         one from front to back. The order itself has no gradient. A splat that leaves is fetched again, since its offset
         from the pixel is not in the buffer.
         """
-        buffer_size = ti.static(self.buffer_size)
         tile_width, tile_height = ti.static(self.projection.tile[0], self.projection.tile[1])
         pixels = ti.static(tile_width * tile_height)
         ti.loop_config(block_dim=PIXEL_THREADS)
         for thread in range(self.bins.tiles_per_view() * pixels):
             tile, lane = thread // pixels, thread % pixels
-            x0, y0 = tile_origin(self.projection, tile, self.projection.tile)
+            _, x0, y0 = self.projection.place_of(tile, self.projection.tile)
             cell, member = lane // (CELL * CELL), lane % (CELL * CELL)
             x, y = pixel_of(x0, y0, cell, member, ti.static(tile_width // CELL))
             begin, end = self.bins.begin[tile], self.bins.end[tile]
-            if x < self.projection.grid[None][0] and y < self.projection.grid[None][1] and begin < end:
+            if self.projection.inside(x, y) and begin < end:
                 d_c, d_sum, d_alpha_sum, behind = self.pixel(y, x)
                 T = 1.0
-                inv_depths, alphas = ti.Vector([EMPTY_INV_DEPTH] * buffer_size), ti.Vector([0.0] * buffer_size)
-                indices = ti.Vector([0] * buffer_size)
-                for i in range(begin, end + buffer_size):
+                inv_depths, alphas = ti.Vector([EMPTY_INV_DEPTH] * BUFFER_SIZE), ti.Vector([0.0] * BUFFER_SIZE)
+                indices = ti.Vector([0] * BUFFER_SIZE)
+                for i in range(begin, end + BUFFER_SIZE):
                     touches, g, alpha, inv_depth = True, 0, 0.0, BEHIND_ALL
                     if i < end:
                         g = value_of(self.bins.members[i])

@@ -25,7 +25,6 @@ from render.blend import (
     load_batch,
     pixel_of,
     splat_color,
-    tile_origin,
 )
 from render.footprint import CUTOFF_BITS
 from render.radix_sort import value_of
@@ -72,12 +71,9 @@ class PerPixelSort:
         ti.loop_config(block_dim=4 * CPU_TILE)
         for line in range(self.projection.views * self.bins.tiles_per_view() * CPU_TILE):
             tile, row = line // CPU_TILE, line % CPU_TILE
-            if ti.static(self.projection.compares):  # noqa: SIM102
-                if not self.projection.changed.has(tile):
-                    continue
-            width, height = self.projection.grid[None][0], self.projection.grid[None][1]
-            v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
-            x0, y0 = tile_origin(self.projection, in_view, (CPU_TILE, CPU_TILE))
+            if not self.projection.draws(tile):
+                continue
+            v, x0, y0 = self.projection.place_of(tile, (CPU_TILE, CPU_TILE))
             y = y0 + row
             T, red, green, blue, depth = across(1.0), across(0.0), across(0.0), across(0.0), across(0.0)
             inv_depths = [across(EMPTY_INV_DEPTH) for _ in ti.static(range(self.buffer_size))]
@@ -86,23 +82,12 @@ class PerPixelSort:
             weight, front_index = across(0.0), across(0)
             begin, end = self.bins.begin[tile], self.bins.end[tile]
             stop = end + self.buffer_size
-            if begin == end or y >= height:
+            if begin == end or not self.projection.inside(x0, y):
                 stop = begin
             visited = 0
             for i in range(begin, stop):
-                g, touches, missing = 0, True, 0.0  # an empty splat, behind all others
-                base, tilt, A, dx0, center, slope = -2 * CUTOFF_BITS, 0.0, 0.0, 0.0, 0.0, 0.0
-                if i < end:
-                    g, missing = value_of(self.bins.members[i]), EMPTY_INV_DEPTH
-                    mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
-                    box = self.projection.box[v, g]
-                    dx0, dy = x0 + 0.5 - mean2d.x, y + 0.5 - mean2d.y
-                    touches = ti.abs(dy) <= box[1]
-                    # along the row, log2 alpha = base - dx (A dx + tilt) and 1/z = center + slope dx
-                    A, tilt, base = conic[0], 2 * conic[1] * dy, mean2d.z - conic[2] * dy * dy
-                    center, slope = 1.0 / mean2d.w + self.projection.color[v, g][3] * dy, box[3]
+                touches, g, dx0, A, tilt, base, center, slope, missing = self._along_row(i, end, v, x0, y)
                 if touches:
-                    # the splat takes its place in each pixel's buffer; the nearest leaves it
                     for q in range(CPU_TILE):
                         dx = dx0 + q
                         power = base - dx * (A * dx + tilt)
@@ -110,24 +95,7 @@ class PerPixelSort:
                         alpha = ti.select(alpha < ALPHA_MAX, alpha, ALPHA_MAX)
                         alpha = ti.select(power < -CUTOFF_BITS, 0.0, alpha)
                         inv_depth = ti.select(power < -CUTOFF_BITS, missing, center + slope * dx)
-                        stays = inv_depth <= OVERTAKE_RATIO * inv_depths[0][q]  # behind all entries so far
-                        front_alpha = ti.select(stays, alphas[0][q], alpha)
-                        front_index[q] = ti.select(stays, indices[0][q], g)
-                        for k in ti.static(range(1, self.buffer_size)):
-                            behind = stays & (inv_depth <= OVERTAKE_RATIO * inv_depths[k][q])
-                            inv_depths[k - 1][q] = ti.select(
-                                behind, inv_depths[k][q], ti.select(stays, inv_depth, inv_depths[k - 1][q])
-                            )
-                            alphas[k - 1][q] = ti.select(
-                                behind, alphas[k][q], ti.select(stays, alpha, alphas[k - 1][q])
-                            )
-                            indices[k - 1][q] = ti.select(behind, indices[k][q], ti.select(stays, g, indices[k - 1][q]))
-                            stays = behind
-                        inv_depths[self.buffer_size - 1][q] = ti.select(
-                            stays, inv_depth, inv_depths[self.buffer_size - 1][q]
-                        )
-                        alphas[self.buffer_size - 1][q] = ti.select(stays, alpha, alphas[self.buffer_size - 1][q])
-                        indices[self.buffer_size - 1][q] = ti.select(stays, g, indices[self.buffer_size - 1][q])
+                        front_alpha, front_index[q] = entered(inv_depths, alphas, indices, q, inv_depth, alpha, g)
                         before = T[q]  # blend what has left
                         after = before * (1.0 - front_alpha)
                         visible = after > MIN_TRANSMITTANCE
@@ -149,9 +117,28 @@ class PerPixelSort:
                         if alive == 0:
                             break
             for q in range(CPU_TILE):
-                if x0 + q < width and y < height:
+                if self.projection.inside(x0 + q, y):
                     rgb = ti.math.vec3(red[q], green[q], blue[q])
                     sink.write(out, v, y, x0 + q, rgb, depth[q], 1.0 - ti.abs(T[q]))
+
+    @ti.func
+    def _along_row(self, i: ti.i32, end: ti.i32, v: ti.i32, x0: ti.i32, y: ti.i32):
+        """Whether member i of the bins touches a row of pixels, its Gaussian, and its numbers along the row.
+
+        log2 alpha = base - dx (A dx + tilt) and 1/z = center + slope dx, at dx = dx0 + q of pixel q; `missing`: 1/z of
+        pixels outside its ellipse. From `end` on: an empty splat, behind all others.
+        """
+        g, touches, missing = 0, True, 0.0
+        base, tilt, A, dx0, center, slope = -2 * CUTOFF_BITS, 0.0, 0.0, 0.0, 0.0, 0.0
+        if i < end:
+            g, missing = value_of(self.bins.members[i]), EMPTY_INV_DEPTH
+            mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
+            box = self.projection.box[v, g]
+            dx0, dy = x0 + 0.5 - mean2d.x, y + 0.5 - mean2d.y
+            touches = ti.abs(dy) <= box[1]
+            A, tilt, base = conic[0], 2 * conic[1] * dy, mean2d.z - conic[2] * dy * dy
+            center, slope = 1.0 / mean2d.w + self.projection.color[v, g][3] * dy, box[3]
+        return touches, g, dx0, A, tilt, base, center, slope, missing
 
     @ti.func
     def _draw_gpu(self, sink: ti.template(), out: ti.template()):
@@ -163,9 +150,7 @@ class PerPixelSort:
         ti.loop_config(block_dim=PIXEL_THREADS)
         for thread in range(self.projection.views * self.bins.tiles_per_view() * PIXEL_THREADS):
             tile, lane = thread // PIXEL_THREADS, thread % PIXEL_THREADS
-            width, height = self.projection.grid[None][0], self.projection.grid[None][1]
-            v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
-            x0, y0 = tile_origin(self.projection, in_view, GPU_TILE)
+            v, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // (CELL * CELL), lane % (CELL * CELL)  # a cell is two warps
             x, y = pixel_of(x0, y0, cell, member, ACROSS)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
@@ -173,7 +158,7 @@ class PerPixelSort:
             inv_depths, alphas = ti.Vector([EMPTY_INV_DEPTH] * self.buffer_size), ti.Vector([0.0] * self.buffer_size)
             indices = ti.Vector([0] * self.buffer_size)
             done = 0
-            if x >= width or y >= height:
+            if not self.projection.inside(x, y):
                 done = 1
             begin, end = self.bins.begin[tile], self.bins.end[tile]
             for batch in range((end - begin + BATCH - 1) // BATCH):
@@ -204,7 +189,7 @@ class PerPixelSort:
                 if done == 0 and alphas[k] > 0:
                     rgb, depth = self._blended(rgb, depth, alphas[k] * T, v, indices[k])
                     T *= 1.0 - alphas[k]
-            if x < width and y < height:
+            if self.projection.inside(x, y):
                 sink.write(out, v, y, x, rgb, depth, 1.0 - T)
 
     @ti.func
@@ -251,6 +236,28 @@ def pushed(
             stays = behind
         if stays:
             inv_depths[last], alphas[last], indices[last] = inv_depth, alpha, g
+    return front_alpha, front_index
+
+
+@ti.func
+def entered(
+    inv_depths: ti.template(), alphas: ti.template(), indices: ti.template(), q: ti.i32,
+    inv_depth: ti.f32, alpha: ti.f32, g: ti.i32,
+):  # fmt: skip
+    """As `pushed`, without branches, for pixel q of a row: each place of the buffer holds a value for each of them."""
+    last = ti.static(len(inv_depths) - 1)
+    stays = inv_depth <= OVERTAKE_RATIO * inv_depths[0][q]  # behind all entries so far
+    front_alpha, front_index = ti.select(stays, alphas[0][q], alpha), ti.select(stays, indices[0][q], g)
+    for k in ti.static(range(1, last + 1)):
+        behind = stays & (inv_depth <= OVERTAKE_RATIO * inv_depths[k][q])
+        kept = ti.select(stays, inv_depth, inv_depths[k - 1][q])
+        inv_depths[k - 1][q] = ti.select(behind, inv_depths[k][q], kept)
+        alphas[k - 1][q] = ti.select(behind, alphas[k][q], ti.select(stays, alpha, alphas[k - 1][q]))
+        indices[k - 1][q] = ti.select(behind, indices[k][q], ti.select(stays, g, indices[k - 1][q]))
+        stays = behind
+    inv_depths[last][q] = ti.select(stays, inv_depth, inv_depths[last][q])
+    alphas[last][q] = ti.select(stays, alpha, alphas[last][q])
+    indices[last][q] = ti.select(stays, g, indices[last][q])
     return front_alpha, front_index
 
 

@@ -100,19 +100,18 @@ class Projection:
         """Free the device memory."""
         self.fields.destroy()
 
-    def set_camera(self, v: int, values: list[float]) -> None:
-        """Set the camera of view `v` to the result of `camera_values`."""
-        self._set_camera(v, *values)
-
     @ti.kernel
-    def _set_camera(
+    def set_camera(
         self, v: ti.i32,
         a0: ti.f32, a1: ti.f32, a2: ti.f32, a3: ti.f32,
         b0: ti.f32, b1: ti.f32, b2: ti.f32, b3: ti.f32,
         c0: ti.f32, c1: ti.f32, c2: ti.f32, c3: ti.f32,
         fx: ti.f32, fy: ti.f32, cx: ti.f32, cy: ti.f32,
     ):  # fmt: skip
-        """Write `camera`: scalars need no copy to wait for, and a matrix argument takes four times as long to pass."""
+        """Set the camera of view `v` to the numbers of `camera_values`.
+
+        Scalars need no copy to wait for, and a matrix argument takes four times as long to pass.
+        """
         self.camera[v, 0] = vec4(a0, a1, a2, a3)
         self.camera[v, 1] = vec4(b0, b1, b2, b3)
         self.camera[v, 2] = vec4(c0, c1, c2, c3)
@@ -215,6 +214,18 @@ class Projection:
         return tile_columns(row, left, right, self.mean2d[v, g], self.conic[v, g], self.box[v, g], self.tile)
 
     @ti.func
+    def inside(self, x: ti.i32, y: ti.i32):
+        """True if a pixel lies in the picture, and not in a tile's part beyond its border."""
+        return x < self.grid[None][0] and y < self.grid[None][1]
+
+    @ti.func
+    def place_of(self, tile: ti.i32, size: ti.template()):
+        """View of a tile, and its first column and row [px]; `size`: (width, height) of a tile."""
+        columns, rows = self.grid[None][2], self.grid[None][3]
+        in_view = tile % (columns * rows)
+        return tile // (columns * rows), in_view % columns * size[0], in_view // columns * size[1]
+
+    @ti.func
     def tile_at(self, v: ti.i32, row: ti.i32, column: ti.i32) -> ti.i32:
         """Number of a tile: row by row, view by view."""
         return (v * self.grid[None][3] + row) * self.grid[None][2] + column
@@ -252,14 +263,22 @@ class Projection:
         return eye
 
     @ti.func
-    def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32, drawn: ti.i32):
-        """Write splat `g` of view `v` and return its tile mask; `drawn` if the last picture had it."""
+    def held_tangents(self, v: ti.i32, x: ti.f32, y: ti.f32):
+        """x/z and y/z of a point in the frame of view `v`, held near the picture."""
         intrinsics = self.camera[v, 3]
         fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
         width, height = self.grid[None][0], self.grid[None][1]
         margin_x, margin_y = GUARD_BAND * 0.5 * width / fx, GUARD_BAND * 0.5 * height / fy
-        x = clamp(p.x / p.z, -cx / fx - margin_x, (width - cx) / fx + margin_x)
-        y = clamp(p.y / p.z, -cy / fy - margin_y, (height - cy) / fy + margin_y)
+        held_x = clamp(x, -cx / fx - margin_x, (width - cx) / fx + margin_x)
+        held_y = clamp(y, -cy / fy - margin_y, (height - cy) / fy + margin_y)
+        return held_x, held_y
+
+    @ti.func
+    def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32, drawn: ti.i32):
+        """Write splat `g` of view `v` and return its tile mask; `drawn` if the last picture had it."""
+        intrinsics = self.camera[v, 3]
+        fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+        x, y = self.held_tangents(v, p.x / p.z, p.y / p.z)
         scale_x, scale_y = fx / p.z, fy / p.z  # [px/m]
         mx, my = scale_x * p.x + cx, scale_y * p.y + cy
         s = self.splats.cov[g]

@@ -1,17 +1,16 @@
 """Backward pass of the projection: gradients of splats in a picture to those of Gaussians and camera."""
 
-import math
-
 import taichi as ti
 
 from core import spherical_harmonics as harmonics
 from core.fields import FieldGroup
 from core.quaternion import conjugate, rotate_inverse
-from render.blend_gradients import BlendGradients
-from render.projection import GUARD_BAND, HALF_LOG2_E, times
+from render.blend_gradients import LN2, BlendGradients
+from render.projection import HALF_LOG2_E, times
 from render.splats import color_of
 
-vec3 = ti.math.vec3
+vec3, vec4 = ti.math.vec3, ti.math.vec4
+vec6 = ti.types.vector(6, ti.f32)
 
 
 @ti.data_oriented
@@ -56,6 +55,7 @@ class ProjectionGradients:
 
     @ti.func
     def _backward(self, g: ti.i32):
+        """Gradients of a Gaussian; S = M Sigma M^T + DILATION I is its covariance in the picture, with M = J W."""
         camera = ti.static(self.projection.camera)
         mean, s = self.splats.mean[g], self.splats.cov[g]
         W = ti.Matrix.rows([camera[0, 0].xyz, camera[0, 1].xyz, camera[0, 2].xyz])
@@ -65,45 +65,20 @@ class ProjectionGradients:
         d_p = vec3(0.0, 0.0, d_mean2d.w)
 
         # the centre: x = fx p.x / p.z + cx
-        intrinsics = camera[0, 3]
-        fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-        scale_x, scale_y = fx / p.z, fy / p.z
+        scale_x, scale_y = camera[0, 3][0] / p.z, camera[0, 3][1] / p.z
         d_p += vec3(
             scale_x * d_mean2d.x,
             scale_y * d_mean2d.y,
             -(scale_x * p.x * d_mean2d.x + scale_y * p.y * d_mean2d.y) / p.z,
         )
 
-        # the covariance: S = M Sigma M^T + DILATION I, with rows of M = J W
-        width, height = self.projection.grid[None][0], self.projection.grid[None][1]
-        margin_x, margin_y = GUARD_BAND * 0.5 * width / fx, GUARD_BAND * 0.5 * height / fy
+        # the covariance
         x_free, y_free = p.x / p.z, p.y / p.z
-        x = ti.min(ti.max(x_free, -cx / fx - margin_x), (width - cx) / fx + margin_x)
-        y = ti.min(ti.max(y_free, -cy / fy - margin_y), (height - cy) / fy + margin_y)
+        x, y = self.projection.held_tangents(0, x_free, y_free)
         right, down, forward = camera[0, 0].xyz, camera[0, 1].xyz, camera[0, 2].xyz
-        mx, my = scale_x * (right - x * forward), scale_y * (down - y * forward)
+        mx, my = scale_x * (right - x * forward), scale_y * (down - y * forward)  # the rows of M
         sx, sy = times(s, mx), times(s, my)  # Sigma M^T
-        conic = self.projection.conic[0, g] / HALF_LOG2_E  # S^-1 = [[a, b], [b, c]]
-        a, b, c = conic[0], conic[1], conic[2]
-        d_conic = self.blend.d_conic(g) * HALF_LOG2_E
-        d_a, d_b, d_c = d_conic[0], 0.5 * d_conic[1], d_conic[2]  # a half for each off-diagonal entry
-        # dL/dS = -S^-1 (dL/dS^-1) S^-1
-        u, v, w = d_a * a + d_b * b, d_a * b + d_b * c, d_b * a + d_c * b
-        t = d_b * b + d_c * c
-        d_xx, d_xy, d_yy = -(a * u + b * w), -(a * v + b * t), -(b * v + c * t)
-        d_opacity = 0.0
-        opacity = self.splats.opacity[g]
-        if opacity <= 1.0:
-            d_opacity = d_mean2d.z / (opacity * LN2)
-        if ti.static(self.projection.antialias):
-            # opacity sqrt(det S' / det S), S' = S - DILATION I: d log det S' = S'^-1
-            xx, xy, yy = mx.dot(sx), mx.dot(sy), my.dot(sy)
-            sharp = xx * yy - xy * xy
-            if sharp > 0.0:
-                factor = 0.5 / LN2 * d_mean2d.z
-                d_xx += factor * (yy / sharp - a)
-                d_xy += factor * (-xy / sharp - b)
-                d_yy += factor * (xx / sharp - c)
+        d_xx, d_xy, d_yy, d_opacity = self._backward_splat(g, d_mean2d.z, mx, my, sx, sy)
         self.d_opacity[g] = d_opacity
         d_cov = vec6(0.0)
         for i, j in ti.static([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
@@ -121,8 +96,7 @@ class ProjectionGradients:
         d_forward = -scale_x * x * d_mx - scale_y * y * d_my
 
         # the colour, seen along mean - eye
-        ray = mean - self.eye()
-        d_ray = self._backward_color(g, ray)
+        d_ray = self._backward_color(g, mean - self.eye())
         self.d_mean[g] = W.transpose() @ d_p + d_ray
         if ti.static(self.of_camera):
             d_eye = -d_ray  # eye = -W^T offset
@@ -131,6 +105,32 @@ class ProjectionGradients:
                 d_row = d_p[k] * mean + vec3(rows[k, 0], rows[k, 1], rows[k, 2]) - offset[k] * d_eye
                 d_w = d_p[k] - d_eye.dot(camera[0, k].xyz)
                 self.d_camera[k] += vec4(d_row, d_w)
+
+    @ti.func
+    def _backward_splat(self, g: ti.i32, d_log_opacity: ti.f32, mx: vec3, my: vec3, sx: vec3, sy: vec3):
+        """Gradients with respect to S (xx, xy, yy) and the opacity; mx, my: rows of M, sx, sy: columns of Sigma M^T."""
+        conic = self.projection.conic[0, g] / HALF_LOG2_E  # S^-1 = [[a, b], [b, c]]
+        a, b, c = conic[0], conic[1], conic[2]
+        d_conic = self.blend.d_conic(g) * HALF_LOG2_E
+        d_a, d_b, d_c = d_conic[0], 0.5 * d_conic[1], d_conic[2]  # a half for each off-diagonal entry
+        # dL/dS = -S^-1 (dL/dS^-1) S^-1
+        u, v, w = d_a * a + d_b * b, d_a * b + d_b * c, d_b * a + d_c * b
+        t = d_b * b + d_c * c
+        d_xx, d_xy, d_yy = -(a * u + b * w), -(a * v + b * t), -(b * v + c * t)
+        d_opacity = 0.0
+        opacity = self.splats.opacity[g]
+        if opacity <= 1.0:
+            d_opacity = d_log_opacity / (opacity * LN2)
+        if ti.static(self.projection.antialias):
+            # opacity sqrt(det S' / det S), S' = S - DILATION I: d log det S' = S'^-1
+            xx, xy, yy = mx.dot(sx), mx.dot(sy), my.dot(sy)
+            sharp = xx * yy - xy * xy
+            if sharp > 0.0:
+                factor = 0.5 / LN2 * d_log_opacity
+                d_xx += factor * (yy / sharp - a)
+                d_xy += factor * (-xy / sharp - b)
+                d_yy += factor * (xx / sharp - c)
+        return d_xx, d_xy, d_yy, d_opacity
 
     @ti.func
     def eye(self) -> vec3:
@@ -200,9 +200,3 @@ def set_row(basis: ti.template(), slope: ti.template(), k: ti.template(), value:
     basis[k] = value
     for c in ti.static(range(3)):
         slope[k, c] = derivative[c]
-
-
-LN2 = math.log(2.0)
-
-vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
-vec6 = ti.types.vector(6, ti.f32)

@@ -80,7 +80,7 @@ class Rasterizer:
     @ti.kernel
     def _order(self, begin: ti.i32, end: ti.i32, kept: ti.i32, whole: ti.i32):
         self.projection.project(begin, end, kept, whole, self.order.sorter)
-        self.order.sort()
+        self.order.sorter.sort()
         self.order.count_pairs()
 
     def finish(self, out) -> bool:
@@ -136,7 +136,7 @@ class Rasterizer:
         """Set the camera of a view; its size must be the rasterizer's."""
         values = camera_values(camera)
         if self._cameras.get(view) != values:
-            self.projection.set_camera(view, values)
+            self.projection.set_camera(view, *values)
             self._cameras[view], self._kept, self._last = values, 0, None
 
     def destroy(self) -> None:
@@ -166,7 +166,7 @@ class TilePass:
     @ti.kernel
     def _bin(self):
         self.bins.emit()
-        self.bins.sort()
+        self.bins.sorter.sort()
         self.bins.find_ranges()
 
     @ti.kernel

@@ -22,7 +22,7 @@ class Picture:
     A = 255 d,   d = far / (far - near) (1 - near / z),   z = (sum w z) / (sum w)          as OpenGL's depth buffer
 
     One step of 8 bits is 0.02 in 1 / z: for a head that has moved by 2 cm half a step shifts a point by 0.0002 of the
-    distance to the picture's plane, 0.2 px where an eye has 1000 px to it. More bits would show nothing more.
+    distance to the picture's plane, 0.2 px where an eye has 1000 px to it.
     """
 
     def __init__(self, views: int, background, *, depth: bool = False):
@@ -107,8 +107,6 @@ class Renderer:
         buffer_size: int = BUFFER_SIZE,
         still: int = 0,
     ):
-        if outputs not in ("rgba8", "deep", "float"):
-            raise ValueError(f"outputs must be 'rgba8', 'deep' or 'float', not {outputs!r}")
         self.width, self.height, self.views = width, height, views
         if outputs != "float":
             self.picture = ti.ndarray(ti.u32, (views * height, width))
@@ -117,16 +115,25 @@ class Renderer:
         else:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
-        options = {"antialias": antialias, "depth": outputs != "rgba8", "sort": sort, "buffer_size": buffer_size}
-        options |= {"still": still, "keeps": outputs != "float"}
-        self.rasterizer = Rasterizer(splats, width, height, views=views, sink=self.sink, **options)
+        self.rasterizer = Rasterizer(
+            splats,
+            width,
+            height,
+            views=views,
+            sink=self.sink,
+            antialias=antialias,
+            depth=outputs != "rgba8",
+            sort=sort,
+            buffer_size=buffer_size,
+            still=still,
+            keeps=outputs != "float",
+        )
 
     def resize(self, width: int, height: int) -> None:
-        """Draw another size [px] from now on, into a new `picture`; not for outputs="float"."""
-        if not isinstance(self.sink, Picture):
-            raise ValueError("float images keep the size they were made with")
+        """Draw another size [px] from now on: into a new `picture`, or a part of float images of at least that size."""
         self.width, self.height = width, height
-        self.picture = self._out = ti.ndarray(ti.u32, (self.views * height, width))
+        if isinstance(self.sink, Picture):
+            self.picture = self._out = ti.ndarray(ti.u32, (self.views * height, width))
         self.rasterizer.resize(width, height)
 
     def set_background(self, colour) -> None:

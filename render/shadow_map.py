@@ -65,36 +65,23 @@ class DepthMap:
 class ShadowMap:
     """Writes `splats.visibility`, 1 - strength * shade, when `cast()` is called.
 
-    Gaussians [begin, end) = `dynamic` move. The map of static casters is drawn once per light, in
-    a fixed cone around the light's target; that of dynamic ones at each cast, in a cone fitted to
-    them on the device. Dynamic Gaussians are shadowed by both. Static ones keep the shadows that
-    were captured with them and are darkened by dynamic casters alone, and only where the light
-    reached them before (`splats.exposed`). Static Gaussians near the light, such as its own lamp or,
-    for a directional light, the ceiling, cast nothing.
+    Gaussians from `begin` on move (dynamic), those before do not (static). The map of static casters is drawn once per
+    light, in a fixed cone around the light's target; that of dynamic ones at each cast, in a cone fitted to them on the
+    device. Dynamic Gaussians are shadowed by both. Static ones keep the shadows that were captured with them and are
+    darkened by dynamic casters alone, and only where the light reached them before (`splats.exposed`). Static Gaussians
+    near the light, such as its own lamp or, for a directional light, the ceiling, cast nothing.
 
-    Captured dynamic Gaussians, those of `keep_captured_shadows`, had the shade 1 - exposed when they
-    were photographed. They are darkened by what exceeds it, to (1 - strength * shade) / (1 - strength *
-    (1 - exposed)), under whichever light. Where the shade is less they stay as they were photographed:
-    a shadow cannot be divided out of colours, as the photographs do not tell which light cast it.
+    Captured dynamic Gaussians, those of `keep_captured_shadows`, had the shade 1 - exposed when they were photographed.
+    They are darkened by what exceeds it, to (1 - strength * shade) / (1 - strength * (1 - exposed)), under whichever
+    light. Where the shade is less they stay as they were photographed: a shadow cannot be divided out of colours, as
+    the photographs do not tell which light cast it.
     """
 
-    def __init__(
-        self,
-        splats: Splats,
-        light: Light,
-        dynamic: tuple[int, int],
-        *,
-        resolution: int | None = None,
-        segments: int | None = None,
-    ):
+    def __init__(self, splats: Splats, light: Light, begin: int, *, segments: int | None = None):
         self.on_gpu = ti.cfg.arch == ti.cuda
         device = "cuda" if self.on_gpu else "cpu"
-        resolution = resolution or RESOLUTION[device]
-        self.splats, self.resolution, self.box_chunks = splats, resolution, BOX_CHUNKS[device]
-        self.lanes = lane_count()
-        self.begin, self.end = dynamic
-        if self.end != splats.count:
-            raise ValueError(f"the dynamic Gaussians {dynamic} must be the last of {splats.count}")
+        self.resolution = resolution = RESOLUTION[device]
+        self.splats, self.begin, self.box_chunks, self.lanes = splats, begin, BOX_CHUNKS[device], lane_count()
         self.map = DepthMap(resolution, segments or SEGMENTS[device])
         self.rasterizer = Rasterizer(
             splats, resolution, resolution, views=1, sink=self.map, color=False, segments=self.map.segments
@@ -111,10 +98,6 @@ class ShadowMap:
         self.rasterizer.destroy()
         self.map.fields.destroy()
         self.fields.destroy()
-
-    def set_end(self, end: int) -> None:
-        """Set the end of the dynamic Gaussians, up to the splats' capacity."""
-        self.end = end
 
     def set_light(self, light: Light) -> None:
         """Change the light; its static map is drawn at the next cast."""
@@ -133,14 +116,13 @@ class ShadowMap:
 
         The result is final after `finish`, to be called when waiting does no harm.
         """
-        light = self.light
         self._draw_static()
-        if self.begin < self.end:
-            self._aim_dynamic(*self._eye.tolist(), light.softness, self.end, 1.0)
-            self.rasterizer.draw(DYNAMIC, self.begin, self.end, wait=False)
+        if self.begin < self.splats.count:
+            self._aim_dynamic(*self._eye.tolist(), self.light.softness, self.splats.count, 1.0)
+            self.rasterizer.draw(DYNAMIC, self.begin, wait=False)
             self._unfinished = True
             self.map.join(DYNAMIC)
-            self._receive(light.strength, light.softness, self.end)
+            self._receive(self.light.strength, self.light.softness, self.splats.count)
         else:
             self.splats.visibility.fill(1.0)
 
@@ -153,7 +135,7 @@ class ShadowMap:
         self._unfinished = False
         if again:
             self.map.join(DYNAMIC)
-            self._receive(self.light.strength, self.light.softness, self.end)
+            self._receive(self.light.strength, self.light.softness, self.splats.count)
         return again
 
     def keep_captured_shadows(self, spans: Sequence[tuple[int, int]]) -> None:
@@ -165,8 +147,8 @@ class ShadowMap:
         softness = self.light.softness
         self._draw_static()
         for width in CAPTURED_WIDTHS:
-            self._aim_dynamic(*self._eye.tolist(), softness, self.end, width)
-            self.rasterizer.draw(DYNAMIC, self.begin, self.end)
+            self._aim_dynamic(*self._eye.tolist(), softness, self.splats.count, width)
+            self.rasterizer.draw(DYNAMIC, self.begin)
             self.map.join(DYNAMIC)
             for begin, end in spans:
                 self._keep_captured_shadows(begin, end, softness)
@@ -179,7 +161,7 @@ class ShadowMap:
         focal = half / min(self._radius / distance, MAX_TANGENT)
         view = look_at(self._eye, self.light.target)
         camera = Camera(self.resolution, self.resolution, focal, focal, half, half, view)
-        self.rasterizer.projection.set_camera(0, camera_values(camera))
+        self.rasterizer.projection.set_camera(0, *camera_values(camera))
         self._aim_static(distance - CASTING_FRACTION * min(distance, self._radius))
         self.rasterizer.draw(STATIC, 0, self.begin)
         self.map.join(STATIC)

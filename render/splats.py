@@ -16,6 +16,7 @@ mat3, vec3, vec4 = ti.math.mat3, ti.math.vec3, ti.math.vec4
 class Splats:
     """Device fields of N Gaussians, flat over all bodies; entries from `count` to `capacity` are unused.
 
+    count       of Gaussians, to be set when some are added at the end, or taken away there
     mean        world position [m], vec3
     cov         world covariance [m^2], vec6 = (xx, xy, xz, yy, yz, zz)
     opacity     0..1
@@ -89,10 +90,6 @@ class Splats:
         """Write the result of `read` to the Gaussians from `first` on; the embedding writes the other fields."""
         if len(opacity):
             self._write(first, opacity, sh, exposed)
-
-    def set_count(self, count: int) -> None:
-        """Use the first `count` entries, up to `capacity`."""
-        self.count = count
 
     @ti.kernel
     def _read(

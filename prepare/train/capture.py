@@ -59,8 +59,8 @@ class Lens:
         )
 
     def matrix(self) -> np.ndarray:
-        """Intrinsics (3, 3) with pixel centres at whole numbers, as OpenCV wants them."""
-        return np.array([[self.fx, 0.0, self.cx - 0.5], [0.0, self.fy, self.cy - 0.5], [0.0, 0.0, 1.0]])
+        """Intrinsics (3, 3) as OpenCV wants them."""
+        return camera_matrix(self.fx, self.fy, self.cx, self.cy)
 
     def pinhole(self) -> tuple[float, float, float, float]:
         """fx, fy, cx, cy of the undistorted image: those of the lens, but a fisheye's, which keeps its middle half."""
@@ -105,17 +105,14 @@ class Lens:
         """Places (N, 2) [px] in the pinhole camera's image of places in the photograph."""
         if not self.distorts:
             return points
-        fx, fy, cx, cy = self.pinhole()
-        new = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        old = np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
         undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
-        points = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2)
-        return undistort(points, old, self._coefficients(), R=np.eye(3), P=new).reshape(-1, 2)
+        places = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2) - 0.5
+        new = camera_matrix(*self.pinhole())
+        return undistort(places, self.matrix(), self._coefficients(), R=np.eye(3), P=new).reshape(-1, 2) + 0.5
 
     def _photographed_places(self) -> tuple[np.ndarray, np.ndarray]:
         """Places in the photograph of the pinhole camera's pixels, along and down, (H, W) float32 each."""
-        fx, fy, cx, cy = self.pinhole()
-        new = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
+        new = camera_matrix(*self.pinhole())
         size, k = (self.width, self.height), self._coefficients()
         rectify = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
         along, down = rectify(self.matrix(), k, np.eye(3), new, size, cv2.CV_32FC1)
@@ -124,6 +121,11 @@ class Lens:
     def _coefficients(self) -> np.ndarray:
         count = 4 if self.fisheye else 8
         return np.array([*self.distortion, *[0.0] * count][:count], np.float64)
+
+
+def camera_matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
+    """Matrix (3, 3) of intrinsics [px] with pixel centres at whole numbers; cx, cy: with those at +0.5."""
+    return np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)

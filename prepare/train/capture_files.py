@@ -41,7 +41,6 @@ COLMAP_MODELS = {
     8: ("SIMPLE_RADIAL_FISHEYE", 1, ("k1",), True),
     9: ("RADIAL_FISHEYE", 1, ("k1", "k2"), True),
 }
-OPENCV_ORDER = {False: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), True: ("k1", "k2", "k3", "k4")}
 
 
 def read_capture(path: str | Path) -> Capture:
@@ -219,19 +218,24 @@ def read_colmap(model: Path, folder: Path) -> Capture:
     return Capture(folder, views, points, colors)
 
 
+def _colmap_model(model: Path, number: int, kind: int | str) -> tuple[str, int, tuple[str, ...], bool]:
+    """The entry of COLMAP_MODELS for a model's number or name. Raises BadInput."""
+    found = next((m for k, m in COLMAP_MODELS.items() if kind in (k, m[0])), None)
+    if found is None:
+        raise BadInput(f"{model}: camera {number} has the model {kind}, which is not known; undistort it with COLMAP")
+    return found
+
+
 def _colmap_lens(
     model: Path, number: int, kind: int | str, width: int, height: int, values: list[float]
 ) -> tuple[int, Lens]:
-    known = {**COLMAP_MODELS, **{m[0]: m for m in COLMAP_MODELS.values()}}
-    if kind not in known:
-        raise BadInput(f"{model}: camera {number} has the model {kind}, which is not known; undistort it with COLMAP")
-    name, focal, coefficients, fisheye = known[kind]
+    name, focal, coefficients, fisheye = _colmap_model(model, number, kind)
     if len(values) != focal + 2 + len(coefficients):
         raise BadInput(f"{model}: camera {number} ({name}) has {len(values)} parameters")
     fx, fy = values[0], values[focal - 1]
     cx, cy = values[focal : focal + 2]
     given = dict(zip(coefficients, values[focal + 2 :], strict=True))
-    distortion = tuple(given.get(k, 0.0) for k in OPENCV_ORDER[fisheye])
+    distortion = tuple(given.get(k, 0.0) for k in (FISHEYE if fisheye else DISTORTION))
     lens = Lens(width, height, fx, fy, cx, cy, distortion if coefficients else (), fisheye)
     lens.check(f"{model}: camera {number}")
     return number, lens
@@ -310,11 +314,8 @@ def _binary_cameras(model: Path) -> Iterator[tuple[int, Lens]]:
     file = _Bytes(model / "cameras.bin")
     for _ in range(file.take("Q")[0]):
         number, kind, width, height = file.take("IiQQ")
-        if kind not in COLMAP_MODELS:
-            raise BadInput(
-                f"{model}: camera {number} has the model {kind}, which is not known; undistort it with COLMAP"
-            )
-        values = list(file.take(f"{COLMAP_MODELS[kind][1] + 2 + len(COLMAP_MODELS[kind][2])}d"))
+        _, focal, coefficients, _ = _colmap_model(model, number, kind)
+        values = list(file.take(f"{focal + 2 + len(coefficients)}d"))
         yield _colmap_lens(model, number, kind, width, height, values)
 
 

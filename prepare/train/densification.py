@@ -54,8 +54,7 @@ class AdaptiveDensity:
 
     def after(self, step: int, steps: int, mean_rate: float) -> None:
         """Act after a step, counted from 1, of `steps`."""
-        stop = min(STOP, steps // 2) if steps < 2 * STOP else STOP
-        if step >= stop:
+        if step >= min(STOP, steps // 2):
             return
         if step > START and step % EVERY == 0:
             self.refine()
@@ -76,17 +75,12 @@ class AdaptiveDensity:
             divided = np.sort(divided[np.argsort(-gradient[divided], kind="stable")[:room]])
         added = np.arange(n, n + len(divided))
         p.copy(divided, added, moments=False)
-        p.splats.set_count(n + len(divided))
+        p.splats.count = n + len(divided)
         split = scale[divided] > SMALL * self.extent
         both = np.concatenate([divided[split], added[split]])
         p.scatter(both, self.rng.standard_normal((len(both), 3)), SPLIT_SHRINK)
-        self.prune()
-        p.clear_statistics()
-
-    def prune(self) -> None:
-        """Remove faint Gaussians."""
-        p = self.population
         p.remove(p.parameters.logit.to_numpy()[: p.count] < logit(OPACITY_MIN))
+        p.clear_statistics()
 
 
 @dataclass
@@ -94,7 +88,6 @@ class MonteCarlo:
     """Kheradmand 2024: a budget of `cap` Gaussians; dead ones are relocated to live ones, and noise is added to all."""
 
     population: Population
-    extent: float
     cap: int
     rng: np.random.Generator
     opacity_cost: float = OPACITY_COST
@@ -124,7 +117,7 @@ class MonteCarlo:
         added = min(self.cap, p.capacity, int(MCMC_GROWTH * n) + 1) - n
         if added > 0 and n > p.frozen:
             opacity = self._opacities()
-            p.splats.set_count(n + added)
+            p.splats.count = n + added
             self._share(p.frozen + self._draw(opacity, added), np.arange(n, n + added))
 
     def _opacities(self) -> np.ndarray:

@@ -41,7 +41,7 @@ class GradientStep:
         self.population, self.of_camera = population, of_camera
         self.renderer = Renderer(population.splats, width, height, outputs="float", antialias=antialias, sort=sort)
         self.loss = ImageLoss(height, width)
-        self._labelled = FloatImages(1, height, width) if population.labelled else None  # pictures of labels
+        self.labelled = FloatImages(1, height, width) if population.labels is not None else None  # pictures of labels
         self.exposure = Exposure(height, width) if exposes else None
         self._passes: _BackwardPass | None = None
 
@@ -49,8 +49,8 @@ class GradientStep:
         """Free the device memory."""
         if self._passes is not None:
             self._passes.destroy()
-        if self._labelled is not None:
-            self._labelled.destroy()
+        if self.labelled is not None:
+            self.labelled.destroy()
         self.loss.destroy()
         if self.exposure is not None:
             self.exposure.destroy()
@@ -58,17 +58,14 @@ class GradientStep:
 
     def draw(self, camera: Camera) -> "_BackwardPass":
         """Render for a camera; returns the backward pass of the picture."""
-        rasterizer = self.renderer.rasterizer
         if (camera.width, camera.height) != (self.renderer.width, self.renderer.height):
-            rasterizer.resize(camera.width, camera.height)
-            self.renderer.width, self.renderer.height = camera.width, camera.height
+            self.renderer.resize(camera.width, camera.height)
         self.renderer.render([camera])
-        bins = rasterizer.tile_pass.bins
+        bins = self.renderer.rasterizer.tile_pass.bins
         if self._passes is None or self._passes.bins is not bins:
             if self._passes is not None:
                 self._passes.destroy()
-            sink, corrections = self.renderer.sink, (self.exposure, self.of_camera)
-            self._passes = _BackwardPass(self.population, bins, sink, self.loss, self._labelled, *corrections)
+            self._passes = _BackwardPass(self, bins)
         return self._passes
 
     def compute(self, photograph: ti.Ndarray, camera: Camera, scale: float, mask=None, mask_scale=0.0) -> None:
@@ -121,7 +118,7 @@ class GradientStep:
     def labels(self, camera: Camera) -> np.ndarray:
         """Picture of the labels for a camera, (H, W, 3) float32."""
         self.draw(camera).labels.draw()
-        return self._labelled.rgb.to_numpy()[0, : camera.height, : camera.width]
+        return self.labelled.rgb.to_numpy()[0, : camera.height, : camera.width]
 
     def weights(self, camera: Camera, mask: ti.Ndarray) -> np.ndarray:
         """Weights of the Gaussians in a picture, summed over the pixels whose object is known, (N,) float64."""
@@ -140,15 +137,13 @@ class GradientStep:
 class _BackwardPass:
     """The kernels that depend on the bins of a picture."""
 
-    def __init__(
-        self, population: Population, bins, picture, loss: ImageLoss, labelled: FloatImages | None,
-        exposure: Exposure | None, of_camera: bool,
-    ):  # fmt: skip
-        self.population, self.bins, self.picture, self.loss = population, bins, picture, loss
-        self.exposure, self.exposes = exposure, exposure is not None
-        self.blend = BlendGradients(bins, picture, with_depth=False)
-        self.gradients = ProjectionGradients(self.blend, of_camera=of_camera)
-        self.labels = LabelPass(population.labels, self.blend, labelled) if labelled is not None else None
+    def __init__(self, step: GradientStep, bins):
+        self.population, self.bins, self.picture, self.loss = step.population, bins, step.renderer.sink, step.loss
+        self.exposure, self.exposes = step.exposure, step.exposure is not None
+        self.blend = BlendGradients(bins, self.picture, with_depth=False)
+        self.gradients = ProjectionGradients(self.blend, of_camera=step.of_camera)
+        labels = self.population.labels
+        self.labels = LabelPass(labels, self.blend, step.labelled) if labels is not None else None
 
     def destroy(self) -> None:
         """Free the device memory."""

@@ -52,19 +52,10 @@ class ImageLoss:
         self.fields.destroy()
 
     @ti.func
-    def target(self, photograph: ti.template(), y: ti.i32, x: ti.i32):
-        """Colour of a photographed pixel, and 1 if it counts, else 0."""
-        packed = photograph[y, x]
-        c = (
-            vec3(packed & ti.u32(255), (packed >> ti.u32(8)) & ti.u32(255), (packed >> ti.u32(16)) & ti.u32(255))
-            / 255.0
-        )
-        return c, ti.select((packed >> ti.u32(24)) == ti.u32(255), 1.0, 0.0)
-
-    @ti.func
     def pair(self, rgb: ti.template(), photograph: ti.template(), y: ti.i32, x: ti.i32):
-        """The rendered and the photographed colour of a pixel, equal where it does not count, and whether it does."""
-        truth, counts = self.target(photograph, y, x)
+        """The rendered and the photographed colour of a pixel, equal where it does not count, and 1 if it does."""
+        truth, alpha = unpacked(photograph[y, x])
+        counts = ti.select(alpha == ti.u32(255), 1.0, 0.0)
         return truth + counts * (rgb[0, y, x] - truth), truth, counts
 
     @ti.func
@@ -76,6 +67,24 @@ class ImageLoss:
 
         `scale`: 1 / (3 counted pixels).
         """
+        self._blur_rows(rgb, photograph, height, width)
+        self._find_slopes(rgb, photograph, height, width)
+        for y, x in ti.ndrange(height, width):
+            sums = self.windowed(self.slopes, 3, y, x, width, True)
+            for j in ti.static(range(3)):
+                self.blurred[j][y, x] = vec3(sums[j, 0], sums[j, 1], sums[j, 2])
+        for y, x in ti.ndrange(height, width):
+            sums = self.windowed(self.blurred, 3, y, x, height, False)
+            a, b, counts = self.pair(rgb, photograph, y, x)
+            d = vec3(0.0)
+            for c in ti.static(range(3)):
+                slope = sums[0, c] + 2 * a[c] * sums[1, c] + b[c] * sums[2, c]
+                d[c] = (1 - dssim) * ti.math.sign(a[c] - b[c]) - dssim * slope
+            d_rgb[y, x] = scale * counts * d
+
+    @ti.func
+    def _blur_rows(self, rgb: ti.template(), photograph: ti.template(), height: ti.i32, width: ti.i32):
+        """Blur x, y, x^2, y^2 and x y along rows; outermost level of a kernel."""
         for y, x in ti.ndrange(height, width):
             sums = ti.Matrix.zero(ti.f32, 5, 3)
             for k in range(WINDOW):
@@ -91,16 +100,12 @@ class ImageLoss:
                         sums[4, c] += w * a[c] * b[c]
             for k in ti.static(range(5)):
                 self.blurred[k][y, x] = vec3(sums[k, 0], sums[k, 1], sums[k, 2])
+
+    @ti.func
+    def _find_slopes(self, rgb: ti.template(), photograph: ti.template(), height: ti.i32, width: ti.i32):
+        """Derivatives of SSIM with respect to the blurred images, and the sums; outermost level of a kernel."""
         for y, x in ti.ndrange(height, width):
-            sums = ti.Matrix.zero(ti.f32, 5, 3)
-            for k in range(WINDOW):
-                at = y + k - RADIUS
-                if 0 <= at < height:
-                    w = self.weight(k)
-                    for j in ti.static(range(5)):
-                        value = self.blurred[j][at, x]
-                        for c in ti.static(range(3)):
-                            sums[j, c] += w * value[c]
+            sums = self.windowed(self.blurred, 5, y, x, height, False)
             a, b, counts = self.pair(rgb, photograph, y, x)
             by_mean, by_square, by_product, similarity = vec3(0.0), vec3(0.0), vec3(0.0), 0.0
             for c in ti.static(range(3)):
@@ -118,34 +123,23 @@ class ImageLoss:
             difference = a - b
             pixel = ti.math.vec4(ti.abs(difference).sum(), difference.dot(difference), counts * similarity, counts)
             self.sums[(y * width + x) % SLOTS] += ti.cast(pixel, ti.f64)
-        for y, x in ti.ndrange(height, width):
-            sums = ti.Matrix.zero(ti.f32, 3, 3)
-            for k in range(WINDOW):
-                at = x + k - RADIUS
-                if 0 <= at < width:
-                    w = self.weight(k)
-                    for j in ti.static(range(3)):
-                        value = self.slopes[j][y, at]
-                        for c in ti.static(range(3)):
-                            sums[j, c] += w * value[c]
-            for j in ti.static(range(3)):
-                self.blurred[j][y, x] = vec3(sums[j, 0], sums[j, 1], sums[j, 2])
-        for y, x in ti.ndrange(height, width):
-            sums = ti.Matrix.zero(ti.f32, 3, 3)
-            for k in range(WINDOW):
-                at = y + k - RADIUS
-                if 0 <= at < height:
-                    w = self.weight(k)
-                    for j in ti.static(range(3)):
-                        value = self.blurred[j][at, x]
-                        for c in ti.static(range(3)):
-                            sums[j, c] += w * value[c]
-            a, b, counts = self.pair(rgb, photograph, y, x)
-            d = vec3(0.0)
-            for c in ti.static(range(3)):
-                slope = sums[0, c] + 2 * a[c] * sums[1, c] + b[c] * sums[2, c]
-                d[c] = (1 - dssim) * ti.math.sign(a[c] - b[c]) - dssim * slope
-            d_rgb[y, x] = scale * counts * d
+
+    @ti.func
+    def windowed(self, images: ti.template(), count: ti.template(), y, x, end, along_row: ti.template()):
+        """Sums (count, 3) of the first `count` images over the window of a pixel, along its row or its column.
+
+        `end`: pixels in that row or column.
+        """
+        sums = ti.Matrix.zero(ti.f32, count, 3)
+        for k in range(WINDOW):
+            at = (x if ti.static(along_row) else y) + k - RADIUS
+            if 0 <= at < end:
+                w = self.weight(k)
+                for j in ti.static(range(count)):
+                    value = images[j][y, at] if ti.static(along_row) else images[j][at, x]
+                    for c in ti.static(range(3)):
+                        sums[j, c] += w * value[c]
+        return sums
 
     @ti.func
     def weight(self, k: ti.i32) -> ti.f32:
@@ -155,6 +149,21 @@ class ImageLoss:
             if ti.abs(k - RADIUS) == RADIUS - j:
                 weight = WEIGHTS[j]
         return weight
+
+
+def packed(pixels: np.ndarray, counts: np.ndarray) -> ti.Ndarray:
+    """Pixels (H, W, 3) uint8 on the device: u32 R | G<<8 | B<<16 | A<<24, A = 255 where one `counts` (H, W), else 0."""
+    rgba = np.dstack([pixels, np.where(counts, 255, 0).astype(np.uint8)])
+    image = ti.ndarray(ti.u32, rgba.shape[:2])
+    image.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
+    return image
+
+
+@ti.func
+def unpacked(rgba: ti.u32):
+    """Colour 0..1 of a packed pixel R | G<<8 | B<<16 | A<<24, and A."""
+    c = vec3(rgba & ti.u32(255), (rgba >> ti.u32(8)) & ti.u32(255), (rgba >> ti.u32(16)) & ti.u32(255)) / 255.0
+    return c, rgba >> ti.u32(24)
 
 
 def lpips_distance() -> tuple[Callable[[np.ndarray, np.ndarray], float] | None, str]:

@@ -4,6 +4,7 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup
+from prepare.train.image_loss import packed, unpacked
 from prepare.train.train_options import BETA1, BETA2, EPSILON
 from render.blend import Blend
 from render.blend_gradients import BlendGradients
@@ -44,15 +45,10 @@ def nearest_label(labels: np.ndarray, count: int) -> np.ndarray:
 
 
 def packed_labels(ids: np.ndarray, counted: np.ndarray, count: int) -> ti.Ndarray:
-    """A mask (H, W) uint8 on the device, as labels: u32 R | G<<8 | B<<16 | A<<24, A = 255 where a pixel counts."""
-    levels = np.zeros((UNKNOWN + 1, 4), np.uint8)
-    levels[: count + 1, :3] = np.rint(255 * label_colors(count))
-    levels[: count + 1, 3] = 255
-    rgba = levels[ids]
-    rgba[~counted] = 0
-    packed = ti.ndarray(ti.u32, ids.shape)
-    packed.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
-    return packed
+    """A mask (H, W) uint8 of ids up to `count`, where they count, as an image of labels on the device."""
+    levels = np.zeros((UNKNOWN + 1, 3), np.uint8)
+    levels[: count + 1] = np.rint(255 * label_colors(count))
+    return packed(levels[ids], counted)
 
 
 @ti.data_oriented
@@ -71,16 +67,6 @@ class Labels:
     def destroy(self) -> None:
         """Free the device memory."""
         self.fields.destroy()
-
-    @ti.func
-    def copy(self, a: ti.i32, b: ti.i32):
-        """Give row b the label of row a."""
-        self.value[b] = self.value[a]
-
-    @ti.func
-    def set_moments(self, a: ti.i32, b: ti.i32, keep: ti.f32):
-        """Moments of row b: `keep` times those of row a."""
-        self.first[b], self.second[b] = keep * self.first[a], keep * self.second[a]
 
     @ti.func
     def update(self, gradients: ti.template(), begin: ti.i32, end: ti.i32, bias1: ti.f32, bias2: ti.f32):
@@ -127,13 +113,9 @@ class LabelPass:
         kernel with another backward pass: on CUDA both share arrays between threads.
         """
         for y, x in ti.ndrange(height, width):
-            packed = mask[y, x]
-            truth = (
-                vec3(packed & ti.u32(255), (packed >> ti.u32(8)) & ti.u32(255), (packed >> ti.u32(16)) & ti.u32(255))
-                / 255.0
-            )
+            truth, alpha = unpacked(mask[y, x])
             d = vec3(0.0)
-            if (packed >> ti.u32(24)) != ti.u32(0):
+            if alpha != ti.u32(0):
                 d = vec3(1.0)  # without a scale
                 if scale > 0.0:
                     d = scale * ti.math.sign(self.images.rgb[0, y, x] - truth)

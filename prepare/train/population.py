@@ -130,6 +130,7 @@ class Population:
                     in the air before one camera multiplies
     gradient_count  number of those steps, in which the Gaussian was visible
     labels          of their objects, if there are masks
+    arrays          all fields with a row a Gaussian, by name
     frozen          number of first rows that are drawn but never change, move or disappear
 
     Rows beyond `count` are unused. The host decides which rows are copied and dropped (prepare/train/densification.py);
@@ -137,7 +138,7 @@ class Population:
     """
 
     def __init__(self, gaussians: Gaussians, capacity: int, frozen: int = 0, *, labelled: bool = False):
-        self.frozen, self.labelled = frozen, labelled
+        self.frozen = frozen
         self.splats = Splats(gaussians, capacity=capacity)
         self.splats.sh_range = (0, self.splats.capacity)  # all harmonics are evaluated: they will not stay zero
         self.parameters = Parameters(self.splats)
@@ -148,12 +149,18 @@ class Population:
         self.first_sh, self.second_sh = (f.vector(self.capacity, coefficients) for _ in range(2))
         self.gradient_sum, self.gradient_count = f.scalar(self.capacity), f.scalar(self.capacity)
         f.build()
-        for field, values in (
-            (self.parameters.quat, gaussians.quats),
-            (self.parameters.log_scale, gaussians.log_scales),
-            (self.parameters.logit, gaussians.logit_opacities),
-        ):
-            field.from_numpy(self.splats.padded(values))
+        p, s = self.parameters, self.splats
+        learned = {"mean": s.mean, "quat": p.quat, "log_scale": p.log_scale, "logit": p.logit}
+        kept = {"first": self.first, "second": self.second}
+        kept |= {"gradient_sum": self.gradient_sum, "gradient_count": self.gradient_count}
+        if labelled:
+            learned["label"] = self.labels.value
+            kept |= {"first_label": self.labels.first, "second_label": self.labels.second}
+        self._learned, self._kept = list(learned.values()), list(kept.values())
+        self.arrays = learned | kept | {"sh": s.sh, "first_sh": self.first_sh, "second_sh": self.second_sh}
+        p.quat.from_numpy(s.padded(gaussians.quats))
+        p.log_scale.from_numpy(s.padded(gaussians.log_scales))
+        p.logit.from_numpy(s.padded(gaussians.logit_opacities))
         self.activate()
 
     @property
@@ -166,27 +173,17 @@ class Population:
         self.parameters.destroy()
         self.splats.destroy()
         self.fields.destroy()
-        if self.labelled:
+        if self.labels is not None:
             self.labels.destroy()
-
-    def arrays(self) -> dict:
-        """All fields with a row a Gaussian, by name."""
-        p, s = self.parameters, self.splats
-        names = {"mean": s.mean, "sh": s.sh, "quat": p.quat, "log_scale": p.log_scale, "logit": p.logit}
-        names |= {"first": self.first, "second": self.second, "first_sh": self.first_sh, "second_sh": self.second_sh}
-        if self.labelled:
-            own = self.labels
-            names |= {"label": own.value, "first_label": own.first, "second_label": own.second}
-        return names | {"gradient_sum": self.gradient_sum, "gradient_count": self.gradient_count}
 
     def read(self) -> dict[str, np.ndarray]:
         """Copies of all rows in use, on the host."""
-        return {name: field.to_numpy()[: self.count] for name, field in self.arrays().items()}
+        return {name: field.to_numpy()[: self.count] for name, field in self.arrays.items()}
 
     def write(self, arrays: dict[str, np.ndarray]) -> None:
         """Put rows back as `read` gave them; the first `count` are in use then."""
-        for name, field in self.arrays().items():
-            self.splats.count = len(arrays[name])
+        self.splats.count = len(arrays["mean"])
+        for name, field in self.arrays.items():
             field.from_numpy(self.splats.padded(arrays[name]))
         self.activate()
 
@@ -268,26 +265,19 @@ class Population:
     def _copy(self, sources: ti.types.ndarray(ti.i32, 1), targets: ti.types.ndarray(ti.i32, 1), moments: ti.i32):
         for i in range(targets.shape[0]):
             a, b = sources[i], targets[i]
-            self.splats.mean[b] = self.splats.mean[a]
-            self.parameters.quat[b] = self.parameters.quat[a]
-            self.parameters.log_scale[b] = self.parameters.log_scale[a]
-            self.parameters.logit[b] = self.parameters.logit[a]
+            for field in ti.static(self._learned):
+                field[b] = field[a]
             for k in range(self.splats.coefficients):
                 self.splats.sh[b, k] = self.splats.sh[a, k]
-            if ti.static(self.labelled):
-                self.labels.copy(a, b)
             self._set_moments(a, b, ti.cast(moments, ti.f32))
 
     @ti.func
     def _set_moments(self, a: ti.i32, b: ti.i32, keep: ti.f32):
         """Moments and statistics of row b: `keep` times those of row a."""
-        self.first[b], self.second[b] = keep * self.first[a], keep * self.second[a]
+        for field in ti.static(self._kept):
+            field[b] = keep * field[a]
         for k in range(self.splats.coefficients):
             self.first_sh[b, k], self.second_sh[b, k] = keep * self.first_sh[a, k], keep * self.second_sh[a, k]
-        self.gradient_sum[b] = keep * self.gradient_sum[a]
-        self.gradient_count[b] = keep * self.gradient_count[a]
-        if ti.static(self.labelled):
-            self.labels.set_moments(a, b, keep)
 
     def remove(self, dead: np.ndarray) -> None:
         """Remove the Gaussians of a mask (count,) that are not frozen, all but one; the last rows take their places."""
@@ -295,7 +285,7 @@ class Population:
         alive = max(1, self.count - int(dead.sum()))
         holes = np.flatnonzero(dead[:alive])
         self.copy(alive + np.flatnonzero(~dead[alive:])[: len(holes)], holes, moments=True)
-        self.splats.set_count(alive)
+        self.splats.count = alive
         self.activate()
 
     def scatter(self, rows, normals: np.ndarray, shrink: float) -> None:

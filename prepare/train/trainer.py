@@ -15,6 +15,7 @@ from assets.hdf5 import new_hdf5, open_hdf5, write_text
 from core.camera import Camera
 from prepare.train.densification import FAR, AdaptiveDensity, MonteCarlo, free_radii, in_free_space, near_depth
 from prepare.train.gradient_step import GradientStep
+from prepare.train.image_loss import packed
 from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label, packed_labels
 from prepare.train.photographs import Photograph, reduced
 from prepare.train.population import AdamStep, Population
@@ -75,15 +76,8 @@ def target(photograph: Photograph, objects: int) -> Target:
         counts = photograph.mask & (ids <= objects)
         known = int(counts.sum())
         mask = packed_labels(ids, counts, objects) if known else None
-    return Target(packed(photograph), photograph.camera, max(1, int(photograph.mask.sum())), mask, known)
-
-
-def packed(photograph: Photograph) -> ti.Ndarray:
-    """A photograph on the device: u32 R | G<<8 | B<<16 | A<<24, A = 255 where a pixel counts."""
-    rgba = np.dstack([photograph.pixels, np.where(photograph.mask, 255, 0).astype(np.uint8)])
-    image = ti.ndarray(ti.u32, rgba.shape[:2])
-    image.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
-    return image
+    image = packed(photograph.pixels, photograph.mask)
+    return Target(image, photograph.camera, max(1, int(photograph.mask.sum())), mask, known)
 
 
 @dataclass(frozen=True)
@@ -117,7 +111,7 @@ class Trainer:
         capacity = max(options.cap, len(start))
         self.population = Population(start, capacity, options.frozen, labelled=bool(self.objects))
         if options.strategy == "mcmc":
-            self.strategy = MonteCarlo(self.population, extent, options.cap, self.rng)
+            self.strategy = MonteCarlo(self.population, options.cap, self.rng)
         else:
             self.strategy = AdaptiveDensity(self.population, extent, options.cap, self.rng, resets=options.resets)
         self.views = TrainingViews(photographs, options.coarse, len(self.objects))
@@ -200,7 +194,7 @@ class Trainer:
 
     def quality(self, photograph: Photograph) -> Quality:
         """Quality of the current rendering of a photograph."""
-        return quality_of(self.gradients.compare(packed(photograph), photograph.camera))
+        return quality_of(self.gradients.compare(packed(photograph.pixels, photograph.mask), photograph.camera))
 
     def recent_loss(self) -> Quality:
         """Mean quality over the steps since the last call."""
@@ -256,7 +250,7 @@ class Trainer:
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go back to what `state` gave."""
-        self.population.write({name: state[name] for name in self.population.arrays()})
+        self.population.write({name: state[name] for name in self.population.arrays})
         self.done, self._queue = int(state["done"][0]), state["queue"].tolist()
         for name, learned in self._of_views().items():
             learned.restore(name, state)

@@ -139,7 +139,7 @@ def test_frozen_gaussians_stay_as_they_are_bit_for_bit(trained):
         adaptive = AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
         adaptive.refine()
         p.limit_logits(p.frozen, p.count, logit(0.01))
-        monte_carlo = MonteCarlo(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
+        monte_carlo = MonteCarlo(p, cap=CAP, rng=np.random.default_rng(1))
         monte_carlo.relocate()
         monte_carlo.grow()
         p.activate()
@@ -172,7 +172,7 @@ def test_monte_carlo_fills_its_budget_and_revives_the_dead(trained):
     p = trained[0].population
     kept, n = p.read(), p.count
     p.write(kept | {"logit": np.where(np.arange(n) < 20, logit(0.001), 1.0).astype(np.float32)})
-    strategy = MonteCarlo(p, extent=1.0, cap=n + 30, rng=np.random.default_rng(1))
+    strategy = MonteCarlo(p, cap=n + 30, rng=np.random.default_rng(1))
     strategy.relocate()
     assert (p.read()["logit"] > logit(0.005)).all() and p.count == n
     for _ in range(6):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera, look_at
 from core.rotation import matrices_from_quaternions
 from tests.support import reference_render as reference
@@ -135,65 +134,22 @@ def test_a_gaussian_without_numbers_is_left_out_of_both_eyes(drawings, field, va
 EYE = Camera(43, 29, 40.0, 40.0, 21.5, 14.5, np.eye(4))  # at the origin, along +z; sides that no tile divides
 
 
-def single(mean=(0.0, 0.0, 1.0), size=0.05, opacity=0.9, count: int = 1) -> Gaussians:
-    """Copies of one round Gaussian; the opacity may be exactly 0 or 1."""
-    return round_ones(np.tile(mean, (count, 1)), size=size, opacity=opacity)
-
-
-def assert_close(found, expected, **tolerance) -> None:
-    for a, b in zip(found, expected, strict=True):
-        np.testing.assert_allclose(a[0], b, **tolerance)
-
-
-@pytest.mark.parametrize("opacity", [0.0, 0.003, 0.004, 0.5, 0.9999, 1.0])
-def test_one_gaussian_of_any_opacity(drawings, opacity):
-    g = single(opacity=opacity)
-    found = drawings(1).draw(g, [EYE])
-    assert_close(found, reference.render(g, EYE), atol=1e-5)
-    assert found[1].max() == pytest.approx(min(opacity, 0.999) if opacity > 1 / 255 else 0, abs=0.01 * opacity)
-
-
 @pytest.mark.parametrize("size", [1e-7, 1e-3, 0.3, 30.0, 1e4])
 @pytest.mark.parametrize("mean", [(0.0, 0.0, 1.0), (0.4, -0.2, 0.5), (3.0, 0.0, 0.02), (0.0, 0.0, -0.5)])
 def test_subpixel_and_huge_gaussians_at_any_place(drawings, mean, size):
-    g = single(mean=mean, size=size)
-    found = drawings(1).draw(g, [EYE])[:2]
-    assert all(np.isfinite(image).all() for image in found)
-    assert_close(found, reference.render(g, EYE)[:2], atol=2e-4)
-
-
-@pytest.mark.parametrize("z, seen", [(0.0099, False), (0.0101, True), (0.0, False), (-1.0, False)])
-def test_gaussians_before_the_near_plane_are_not_drawn(drawings, z, seen):
-    assert (drawings(1).draw(single(mean=(0, 0, z), size=0.001), [EYE])[1].max() > 0) == seen
-
-
-def test_thousands_on_one_pixel_stop_at_the_opaque_limit(drawings):
-    """Also in front of a bright wall, which must not shine through behind the limit."""
-    faint, wall = single(opacity=0.05, count=4000), single(mean=(0, 0, 3), size=0.5)
-    faint.sh[:, 0] = -1.4
-    wall.sh[:, 0] = 30.0
-    g = concatenate([wall, faint])
-    rgb, alpha, _ = drawings(1).draw(g, [EYE])
-    np.testing.assert_allclose(rgb[0], reference.render(g, EYE)[0], atol=1e-3)
-    assert 1 - 1.1e-4 / 0.9 < alpha[0, 14, 21] <= 1 - 1e-4
+    g = round_ones(mean, size=size)
+    for found, expected in zip(drawings(1).draw(g, [EYE])[:2], reference.render(g, EYE)[:2], strict=True):
+        np.testing.assert_allclose(found[0], expected, atol=2e-4)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e9])
 def test_a_gaussian_of_no_colour_is_left_out(drawings, value):
-    g = single(count=4)
+    g = round_ones(np.tile((0.0, 0.0, 1.0), (4, 1)))
     broken = g.sh.copy()
     broken[1:3, 0, 1] = value
     pictures = drawings(1).draw_fields(g.means, g.covariances, g.opacities, broken, [EYE])
     for found, expected in zip(pictures, drawings(1).draw(g.select(np.array([0, 3])), [EYE]), strict=True):
         np.testing.assert_array_equal(found, expected)
-
-
-def test_the_shift_of_the_lens_shifts_the_picture(drawings):
-    """An off-centre principal point, as the two eyes of a headset have."""
-    g = single(size=0.03)
-    other = Camera(EYE.width, EYE.height, EYE.fx, EYE.fy, EYE.cx + 7, EYE.cy - 3, EYE.world_to_camera)
-    centred, shifted = (drawings(1).draw(g, [camera])[1][0] for camera in (EYE, other))
-    np.testing.assert_allclose(shifted[:-3, 7:], centred[3:, :-7], atol=1e-5)
 
 
 def test_visibility_and_the_frame_of_the_harmonics_belong_to_each_gaussian(drawings):
@@ -204,7 +160,7 @@ def test_visibility_and_the_frame_of_the_harmonics_belong_to_each_gaussian(drawi
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     visibility = rng.uniform(0.2, 1, 100)
     camera = Camera(40, 40, 47.0, 47.0, 20.0, 20.0, look_at((0, 0, -1.2), (0, 0, 0)))
-    splats.set_count(100)
+    splats.count = 100
     splats.rotation.from_numpy(splats.padded(quats))
     splats.visibility.from_numpy(splats.padded(visibility))
     rgb = drawing.draw(g, [camera])[0]

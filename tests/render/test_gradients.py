@@ -71,7 +71,7 @@ class Differentiable:
         With labels (N, 3): the picture of those, and the gradient by them, follow.
         """
         p, s, b, n = self.parameters, self.splats, self.blend, len(g)
-        s.set_count(n)
+        s.count = n
         fields = (s.mean, p.quat, p.log_scale, p.logit, s.sh)
         for field, name in zip(fields, NAMES, strict=True):
             field.from_numpy(s.padded(getattr(g, name)))
@@ -85,8 +85,7 @@ class Differentiable:
             field.from_numpy(whole)
         self.activate(n)
         r = self.renderer
-        r.rasterizer.resize(camera.width, camera.height)
-        r.width, r.height = camera.width, camera.height
+        r.resize(camera.width, camera.height)
         r.render([camera])
         if labels is not None:
             self.draw_second()

@@ -34,7 +34,7 @@ def test_every_index_of_a_shadow_is_within_its_field(checked):
 
     g = gaussians(400, 0)
     splats = Splats(g)
-    shadow = ShadowMap(splats, Light((0.0, 3.0, 0.5), (0.0, 0.0, 0.0)), (150, 400))
+    shadow = ShadowMap(splats, Light((0.0, 3.0, 0.5), (0.0, 0.0, 0.0)), 150)
     shadow.keep_captured_shadows([(150, 200)])
     shadow.cast()
     light = splats.visibility.to_numpy()[: len(g)]

@@ -6,9 +6,9 @@ import pytest
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import read_gaussians
 from core.camera import Camera
-from tests.render.test_sort_modes import turned
 from tests.support import reference_render as reference
 from tests.support.drawing import Drawing
+from tests.support.popping import turned
 
 EYE = Camera(61, 45, 60.0, 64.0, 33.5, 20.25, np.eye(4))  # at the origin, along +z
 BUFFER_SIZE = 16
@@ -158,8 +158,8 @@ def test_the_planes_equal_the_twin_and_stay_when_the_head_turns(pixel):
     a, drawn = device_planes(pixel, g, EYE)
     size = np.linalg.norm(a, axis=1, keepdims=True)
     np.testing.assert_allclose((a / size)[drawn], (planes(g, EYE) / size)[drawn], atol=1e-3)
-    turn = turned(15.0).world_to_camera @ np.linalg.inv(turned(0.0).world_to_camera)
-    other = Camera(EYE.width, EYE.height, EYE.fx, EYE.fy, EYE.cx, EYE.cy, turn)
+    other = turned(EYE, 15.0)
+    turn = other.world_to_camera
     b, drawn_too = device_planes(pixel, g, other)
     both = drawn & drawn_too
     assert both.sum() > 100

@@ -89,7 +89,7 @@ def test_threads_may_share_a_large_splat(drawings):
     @ti.kernel
     def fill(bins: ti.template()):
         bins.emit()
-        bins.sort()
+        bins.sorter.sort()
         bins.find_ranges()
 
     for bins in (alone, shared):

@@ -1,5 +1,7 @@
 """Prefix sums and radix sort against NumPy: exact, stable, count known to the device alone."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -23,33 +25,24 @@ def machines(ti_cpu):
     from render.prefix_sum import PrefixSum
     from render.radix_sort import RadixSort
 
-    @ti.data_oriented
-    class Machines:
-        def __init__(self):
-            self.scan = PrefixSum(CAPACITY)
-            self.numbers, self.offsets = ti.field(ti.i32, CAPACITY), ti.field(ti.i32, CAPACITY)
-            self.count = ti.field(ti.i32, ())
-            self.full = RadixSort(CAPACITY)
-            self.dropping = RadixSort(CAPACITY, drop=True)
-            self.narrow = RadixSort(CAPACITY, bits=14)
+    scan, numbers, offsets = PrefixSum(CAPACITY), ti.field(ti.i32, CAPACITY), ti.field(ti.i32, CAPACITY)
+    count = ti.field(ti.i32, ())
+
+    @ti.kernel
+    def run_scan():
+        scan.exclusive(numbers, count, offsets)
+
+    def sorter(**options):
+        made = RadixSort(CAPACITY, **options)
 
         @ti.kernel
-        def run_scan(self):
-            self.scan.exclusive(self.numbers, self.count, self.offsets)
+        def run():
+            made.sort()
 
-        @ti.kernel
-        def run_full(self):
-            self.full.sort()
+        return made, run
 
-        @ti.kernel
-        def run_dropping(self):
-            self.dropping.sort()
-
-        @ti.kernel
-        def run_narrow(self):
-            self.narrow.sort()
-
-    return Machines()
+    sorts = {"full": sorter(), "dropping": sorter(drop=True), "narrow": sorter(bits=14)}
+    return SimpleNamespace(scan=scan, numbers=numbers, offsets=offsets, count=count, run_scan=run_scan, **sorts)
 
 
 def sort(sorter, run, keys):
@@ -88,7 +81,7 @@ def test_scan_stops_at_its_largest_number_instead_of_turning_negative(machines):
 
 @pytest.mark.parametrize("name", KEYS)
 def test_sort_is_stable_and_exact(machines, name):
-    values, keys = sort(machines.full, machines.run_full, KEYS[name])
+    values, keys = sort(*machines.full, KEYS[name])
     expected = np.argsort(KEYS[name], kind="stable")
     np.testing.assert_array_equal(values, expected)
     np.testing.assert_array_equal(keys, KEYS[name][expected])
@@ -96,7 +89,7 @@ def test_sort_is_stable_and_exact(machines, name):
 
 @pytest.mark.parametrize("count", [0, 1, 2, 31, 33, 255, 2049, 12_345])
 def test_sort_of_fewer_items_than_the_capacity(machines, count):
-    values, _ = sort(machines.full, machines.run_full, KEYS["random"][:count])
+    values, _ = sort(*machines.full, KEYS["random"][:count])
     np.testing.assert_array_equal(values, np.argsort(KEYS["random"][:count], kind="stable"))
 
 
@@ -105,12 +98,12 @@ def test_dropped_items_vanish(machines, share):
     from render.radix_sort import DROPPED
 
     keys = np.where(rng.uniform(size=50_001) < share, np.uint32(DROPPED), KEYS["depths"][:50_001])
-    values, _ = sort(machines.dropping, machines.run_dropping, keys)
+    values, _ = sort(*machines.dropping, keys)
     kept = np.flatnonzero(keys != DROPPED)
     np.testing.assert_array_equal(values, kept[np.argsort(keys[kept], kind="stable")])
 
 
 def test_sort_of_short_keys_takes_their_bits_alone(machines):
     keys = KEYS["random"] % np.uint32(1 << 14)
-    values, _ = sort(machines.narrow, machines.run_narrow, keys)
+    values, _ = sort(*machines.narrow, keys)
     np.testing.assert_array_equal(values, np.argsort(keys, kind="stable"))

@@ -159,7 +159,7 @@ def test_tiles_in_which_nothing_changes_keep_their_pixels(ti_cpu, sort):
     means[30], means[31] = np.nan, (0, 0, -50)  # behind the camera
     splats.mean.from_numpy(means)
     compare()
-    splats.set_count(45)
+    splats.count = 45
     assert compare() == 96
     camera = perspective(96, 64, 1.0, look_at((0.1, 0, -2), (0, 0, 0)))
     assert compare() == 96 and compare() == 0

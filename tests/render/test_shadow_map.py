@@ -40,7 +40,7 @@ def stage(ti_cpu):
 
     floor, roof, blob = sheet(2.0, 0.0, 0.02), sheet(0.6, -50.0, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
     splats = Splats(concatenate([floor, roof, blob]))
-    return floor, blob, splats, ShadowMap(splats, LIGHT, (len(floor) + len(roof), splats.count), segments=3)
+    return floor, blob, splats, ShadowMap(splats, LIGHT, len(floor) + len(roof), segments=3)
 
 
 def cast(stage, light: Light):
@@ -138,7 +138,7 @@ def test_segments_make_the_map_that_all_splats_at_once_make(stage):
     cast(stage, LIGHT)
     got = shadow.map.texel.to_numpy()
     assert (shadow.map.segment.to_numpy()[1:, ..., 1].max((1, 2)) > 0.9).all()  # none of them is idle
-    whole = ShadowMap(splats, LIGHT, (shadow.begin, shadow.end), segments=1)
+    whole = ShadowMap(splats, LIGHT, shadow.begin, segments=1)
     whole.cast()
     expected = whole.map.texel.to_numpy()
     whole.destroy()
@@ -152,11 +152,10 @@ def test_segments_make_the_map_that_all_splats_at_once_make(stage):
 
 def test_nothing_that_moves_means_no_shadow(stage):
     _, _, splats, shadow = stage
-    end = shadow.end
-    shadow.set_end(shadow.begin)
+    count, splats.count = splats.count, shadow.begin
     splats.visibility.fill(0.5)
     shadow.cast()
-    shadow.set_end(end)
+    splats.count = count
     np.testing.assert_array_equal(splats.visibility.to_numpy()[: splats.count], 1)
 
 
@@ -186,7 +185,7 @@ def photographed(ti_cpu):
     from render.splats import Splats
 
     splats = Splats(concatenate([sheet(2.0, 0.0, 0.02), *(ball(at, BLOB_RADIUS, N) for at in PLACES)]))
-    shadow = ShadowMap(splats, LIGHT, (splats.count - 2 * N, splats.count))
+    shadow = ShadowMap(splats, LIGHT, splats.count - 2 * N)
     shadow.keep_captured_shadows([(shadow.begin, shadow.begin + N)])
     return splats, shadow
 
@@ -262,7 +261,7 @@ def test_a_coarser_map_does_not_darken_what_was_captured_and_nobody_touched(ti_c
 
     board, mote = sheet(0.3, 0.0, 0.005), ball([0.0, 0.05, 0.0], 0.001, 1)
     splats = Splats(concatenate([ball([0.0, 0.05, 0.0], 0.05, N), board, mote]))
-    shadow = ShadowMap(splats, Light((1.0, 2.0, 0.5), kind="directional", softness=0.01), (0, splats.count))
+    shadow = ShadowMap(splats, Light((1.0, 2.0, 0.5), kind="directional", softness=0.01), 0)
     shadow.keep_captured_shadows([(0, splats.count - 1)])
     means = splats.mean.to_numpy()
     means[splats.count - 1] += [far, 0.0, 0.0]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from core.camera import Camera
 from tests.render.test_projection import CAMERA, gaussians
 from tests.support import popping
 from tests.support import reference_render as reference
@@ -22,17 +21,9 @@ def order(drawing, camera) -> np.ndarray:
     return drawing.depth_order()
 
 
-def turned(degrees: float) -> Camera:
-    a = np.radians(degrees)
-    turn = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
-    matrix = np.eye(4)
-    matrix[:3] = turn @ CAMERA.world_to_camera[:3]
-    return Camera(CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, matrix)
-
-
 def changes(drawing) -> int:
     """Number of neighbours in order that change places when the head turns by five degrees."""
-    before, after = order(drawing, turned(0.0)), order(drawing, turned(5.0))
+    before, after = order(drawing, CAMERA), order(drawing, popping.turned(CAMERA, 5.0))
     both = np.intersect1d(before, after)
     assert len(both) > 1000
     before, after = before[np.isin(before, both)], after[np.isin(after, both)]

@@ -30,7 +30,7 @@ class Drawing:
     def draw_fields(self, mean, cov, opacity, sh, cameras: list[Camera]) -> list[np.ndarray]:
         """As `draw`, of the values of the splats' fields. Every pixel is written, and none beyond the picture."""
         s = self.splats
-        s.set_count(len(mean))
+        s.count = len(mean)
         for field, values in ((s.mean, mean), (s.cov, cov), (s.opacity, opacity), (s.sh, sh)):
             field.from_numpy(s.padded(values))
         height, width = cameras[0].height, cameras[0].width

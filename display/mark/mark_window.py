@@ -428,8 +428,7 @@ class PlacedPicture:
         u, v = (p / n for p, n in zip(self.to_picture(x, y), self.size, strict=True))
         self._zoom = min(max(self._zoom * ZOOM_STEP**notches, 1.0), ZOOM_MAX)
         left, top, width, height = self.area
-        _, _, w, h = fit(self.size, (max(width, 1), max(height, 1)))
-        w, h = w * self._zoom, h * self._zoom
+        _, _, w, h = self.place
         self._look_at(u - (x - left - 0.5 * width) / w, v - (y - top - 0.5 * height) / h)
 
     def move(self, dx: float, dy: float) -> None:

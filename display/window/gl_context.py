@@ -75,6 +75,11 @@ def context_of(address: Callable[[str], int | None]):
     return context
 
 
+def integers(*values: int) -> ctypes.Array:
+    """An array of C."""
+    return (ctypes.c_int * len(values))(*values)
+
+
 class EglContext:
     """A current OpenGL context `gl` without a surface (EGL_MESA_platform_surfaceless).
 
@@ -92,16 +97,12 @@ class EglContext:
         self.display = pointer(egl.eglGetPlatformDisplay(SURFACELESS_PLATFORM, pointer(0), pointer(0)))
         if not egl.eglInitialize(self.display, pointer(0), pointer(0)):
             raise BadInput(f"{NO_DISPLAY}, and EGL does not start; {HEADLESS_INSTEAD}")
-        wanted = (SURFACE_TYPE, 1, RED, 8, GREEN, 8, BLUE, 8, RENDERABLE_TYPE, OPENGL_BIT, NONE)
+        wanted = integers(SURFACE_TYPE, 1, RED, 8, GREEN, 8, BLUE, 8, RENDERABLE_TYPE, OPENGL_BIT, NONE)
         self.config, count = pointer(), ctypes.c_int()
-        chosen = egl.eglChooseConfig(
-            self.display, (ctypes.c_int * len(wanted))(*wanted), ctypes.byref(self.config), 1, ctypes.byref(count)
-        )
+        chosen = egl.eglChooseConfig(self.display, wanted, ctypes.byref(self.config), 1, ctypes.byref(count))
         egl.eglBindAPI(OPENGL_API)
-        attributes = (MAJOR, OPENGL_VERSION[0], MINOR, OPENGL_VERSION[1], PROFILE, CORE, NONE)
-        self.context = pointer(
-            egl.eglCreateContext(self.display, self.config, pointer(0), (ctypes.c_int * len(attributes))(*attributes))
-        )
+        attributes = integers(MAJOR, OPENGL_VERSION[0], MINOR, OPENGL_VERSION[1], PROFILE, CORE, NONE)
+        self.context = pointer(egl.eglCreateContext(self.display, self.config, pointer(0), attributes))
         current = self.context and egl.eglMakeCurrent(self.display, pointer(0), pointer(0), self.context)
         if not (chosen and count.value and current):
             raise BadInput(
@@ -146,21 +147,16 @@ class CudaTexture:
     """An OpenGL texture (moderngl, RGBA of 8 bits a channel) that CUDA can write. Raises NoInterop."""
 
     def __init__(self, texture):
-        self.texture = texture
-        self._driver = cuda_driver()
-        self._make_current()
-        self._resource = ctypes.c_void_p()
-        self._call("cuGraphicsGLRegisterImage", ctypes.byref(self._resource), texture.glo, TEXTURE_2D, WRITE_DISCARD)
-
-    def _make_current(self) -> None:
-        """Make Taichi's context, the device's primary one, this thread's."""
+        self.texture, self._driver = texture, cuda_driver()
         current = ctypes.c_void_p()
         self._call("cuCtxGetCurrent", ctypes.byref(current))
-        if not current:
+        if not current:  # Taichi's context, the device's primary one, becomes this thread's
             device, primary = ctypes.c_int(), ctypes.c_void_p()
             self._call("cuDeviceGet", ctypes.byref(device), 0)
             self._call("cuDevicePrimaryCtxRetain", ctypes.byref(primary), device)
             self._call("cuCtxSetCurrent", primary)
+        self._resource = ctypes.c_void_p()
+        self._call("cuGraphicsGLRegisterImage", ctypes.byref(self._resource), texture.glo, TEXTURE_2D, WRITE_DISCARD)
 
     def _call(self, name: str, *arguments) -> None:
         status = self._driver[name](*arguments)

@@ -20,7 +20,7 @@ from prepare.environment.surfels import Surfels, surfels
 from prepare.environment.winding_number import blended_planes, signed_distance, winding_number
 from prepare.prepared_files import prepare_environment_file
 from scenes import registry
-from tests.fuzz.sample_assets import some_stage
+from tests.fuzz.sample_files import some_stage
 from tests.support.sample_scenes import (
     GARDEN_TABLE,
     LEANING,

@@ -113,7 +113,7 @@ def read_transforms(path: Path) -> Capture:
     views = [_view(path, {**data, **frame}, frame) for frame in frames]
     points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     name = data.get("ply_file_path")
-    found = _inside(path, name) if isinstance(name, str) else path.parent / "sparse_pc.ply"
+    found = _inside(path, path.parent, name) if isinstance(name, str) else path.parent / "sparse_pc.ply"
     if isinstance(name, str) or found.is_file():
         points, colors = read_points(found)
     return Capture(path.parent, views, points, colors)
@@ -124,22 +124,23 @@ def _view(path: Path, values: dict, frame: dict) -> View:
     name = frame.get("file_path")
     if not isinstance(name, str) or not name:
         raise BadInput(f"{path}: a frame has no file_path")
-    image = _inside(path, name)
+    image = _inside(path, path.parent, name)
     if not image.suffix:  # as of Blender's datasets
         image = image.with_suffix(".png")
     mask = values.get("mask_path")
+    mask = _inside(path, path.parent, mask) if isinstance(mask, str) else None
     where = f"{path}: {name}"
     world_from_camera = rigid(frame.get("transform_matrix"), where) @ OPENGL_TO_OPENCV
     lens = _frame_lens(where, values, image)
     lens.check(where)
-    return View(image, lens, np.linalg.inv(world_from_camera), _inside(path, mask) if isinstance(mask, str) else None)
+    return View(image, lens, np.linalg.inv(world_from_camera), mask)
 
 
-def _inside(path: Path, name: str) -> Path:
-    """A file beside the transforms.json. Raises BadInput for one that lies elsewhere."""
+def _inside(where: Path, folder: Path, name: str) -> Path:
+    """A file in the folder. Raises BadInput, naming `where`, for one that lies elsewhere."""
     if "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
-        raise BadInput(f"{path}: {name!r} is not inside of the capture's folder")
-    return path.parent / name
+        raise BadInput(f"{where}: {name!r} is not inside of the capture's folder")
+    return folder / name
 
 
 def _frame_lens(where: str, values: dict, image: Path) -> Lens:
@@ -212,9 +213,8 @@ def read_colmap(model: Path, folder: Path) -> Capture:
     for pose, camera, name in images:
         if camera not in lenses:
             raise BadInput(f"{model}: image {name} has a camera {camera} that is not there")
-        if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name:
-            raise BadInput(f"{model}: {name!r} is not inside of the capture's folder")
-        views.append(View((pictures or folder / "images") / name, lenses[camera], rigid(pose, f"{model}: {name}")))
+        image = _inside(model, pictures or folder / "images", name)
+        views.append(View(image, lenses[camera], rigid(pose, f"{model}: {name}")))
     return Capture(folder, views, points, colors)
 
 

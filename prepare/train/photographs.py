@@ -9,6 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from assets.file_access import file_size, open_input
 from assets.images import decoded, read_image_header
 from core.camera import Camera
 from core.errors import BadInput
@@ -93,11 +94,8 @@ def kept_for_test(items: list, every: int) -> tuple[list, list]:
 
 def image_size(path: Path) -> tuple[int, int]:
     """(width, height) of an image file, by its header if that is known. Raises BadInput."""
-    try:
-        with open(path, "rb") as file:
-            header = read_image_header(file.read(HEADER_BYTES))
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
+    with open_input(path) as file:
+        header = read_image_header(file.read(HEADER_BYTES))
     return (header.width, header.height) if header else read_image(path)[1].shape[::-1]
 
 
@@ -124,12 +122,10 @@ def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
 
 def _decode(path: Path) -> np.ndarray:
     """Pixels as stored, BGR or BGRA or grey, uint8 or uint16."""
-    try:
-        if path.stat().st_size > FILE_MAX:
-            raise BadInput(f"{path}: larger than {FILE_MAX >> 20} MiB")
-        data = path.read_bytes()
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
+    if file_size(path) > FILE_MAX:
+        raise BadInput(f"{path}: larger than {FILE_MAX >> 20} MiB")
+    with open_input(path) as file:
+        data = file.read()
     header = read_image_header(data[:HEADER_BYTES])
     if header is not None and header.width * header.height > PIXELS_MAX:
         raise BadInput(f"{path}: {header.width}x{header.height} pixels are too many")

@@ -1,18 +1,22 @@
-"""The report of a preparation: numbers that agree with the asset, pictures that show it, a page that stands alone."""
+"""The report of a preparation: numbers that agree with the asset, pictures that show it, a page that stands alone; and
+pictures of the axes that may point up, where that is not sure."""
 
 import json
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from assets.formats.ply import write_ply
 from prepare.pipeline import Options, prepare
 from prepare.preparation_report import examine, histogram, page_of, report_names, report_texts
-from prepare.report_pictures import HEIGHT, PAPER, WIDTH
-from tests.support.shells import ball
+from prepare.prepared_files import prepare_file, tell_alternatives
+from prepare.report_pictures import HEIGHT, PAPER, STRIP_HEIGHT, STRIP_WIDTH, WIDTH, orientation_strip, strip_name
+from tests.support.shells import ball, ring, toy
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +99,32 @@ def test_both_texts_say_the_same(made):
     assert numbers["cage"]["cells"] == "adaptive" and "adaptive cells" in page
     assert f"{numbers['cage']['vertices']:,}" in page
     assert [p.name for p in report_names(Path("ball.h5"))] == ["ball.report.html", "ball.report.json"]
+
+
+CHANCES = {"-y": 0.5, "+y": 0.3, "+z": 0.19, "-z": 0.01}
+
+
+def test_each_picture_shows_the_thing_with_its_axis_up(ti_cpu):
+    """A drop, bright above and dark below: turned over it is dark above; the first picture is as it stands."""
+    strip = orientation_strip(toy().transformed(np.diag([1.0, -1.0, -1.0])), "+y", CHANCES)
+    assert strip.shape[1] == 3 * STRIP_WIDTH
+    middle = slice(STRIP_WIDTH // 3, 2 * STRIP_WIDTH // 3)
+    panels = [strip[:STRIP_HEIGHT, k * STRIP_WIDTH : (k + 1) * STRIP_WIDTH][:, middle].mean((1, 2)) for k in range(2)]
+    upper, lower = slice(STRIP_HEIGHT // 4, STRIP_HEIGHT // 2), slice(STRIP_HEIGHT // 2, 3 * STRIP_HEIGHT // 4)
+    assert panels[0][upper].mean() > panels[0][lower].mean() and panels[1][upper].mean() < panels[1][lower].mean()
+
+
+def test_an_unsure_preparation_writes_the_strip_and_a_sure_one_removes_it(ti_cpu, tmp_path, monkeypatch):
+    """A ring lies as well on one side as on the other."""
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))  # an interrupted preparation of it would be resumed
+    write_ply(tmp_path / "ring.ply", ring(1500))
+    out, lines = tmp_path / "ring.h5", []
+    prepare_file(tmp_path / "ring.ply", out, Options(300), report=lines.append, page=True)
+    picture = cv2.imread(str(strip_name(out)))
+    asked = next(line for line in lines if line.startswith("which way is up is not sure"))
+    assert picture.shape[1] == STRIP_WIDTH * asked.count("--up") and "ring.up.png" in asked
+    assert "Which way is up?" in (tmp_path / "ring.report.html").read_text()
+    assert json.loads((tmp_path / "ring.report.json").read_text())["notes"] == []
+    lines.clear()
+    tell_alternatives({"+y": 1.0}, out, None, lines.append)
+    assert not strip_name(out).exists() and not lines

@@ -160,25 +160,19 @@ def page_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
 
 def histogram(dihedral: dict) -> str:
     """Histogram of the dihedral angles, an SVG drawing as large as a picture; the smallest angle in red."""
-    width, height, left, right, top, bottom = 560, 480, 44, 14, 14, 28  # [px] of the drawing and its margins
-    bars, step, least = np.sqrt(dihedral["histogram"]), dihedral["bin"], dihedral["min"]
-    floor, tallest = height - bottom, bars.max() or 1.0
-
-    def x(degrees: float) -> float:
-        return left + (width - left - right) * degrees / 180
-
-    def y(bar: float) -> float:
-        return floor - (floor - top) * bar / tallest
-
-    parts = [f'<polyline points="{x(0):.1f},{floor:.1f} {x(180):.1f},{floor:.1f}" stroke="#999"/>']
-    parts += [f'<text x="{x(d):.1f}" y="{height - 8}" text-anchor="middle">{d}°</text>' for d in range(0, 181, 30)]
+    bars, least, floor, left = np.sqrt(dihedral["histogram"]), dihedral["min"], 452.0, 44.0  # [px] floor, left
+    across, up = 502.0 / 180.0, 438.0 / (bars.max() or 1.0)  # [px] a degree, and a unit of the bars
+    parts = [f'<polyline points="{left},{floor} {left + 180 * across:.1f},{floor}" stroke="#999"/>']
+    for d in range(0, 181, 30):
+        parts.append(f'<text x="{left + across * d:.1f}" y="472" text-anchor="middle">{d}°</text>')
     for k in np.flatnonzero(bars):
-        place = f'x="{x(k * step) + 1:.1f}" y="{y(bars[k]):.1f}" width="{x(step) - x(0) - 2:.1f}"'
-        parts.append(f'<rect {place} height="{floor - y(bars[k]):.1f}" fill="#5d93a0"/>')
-    line = f"{x(least):.1f},{floor:.1f} {x(least):.1f},{top:.1f}"
-    parts.append(f'<polyline points="{line}" stroke="#c82828" stroke-width="2"/>')
-    parts.append(f'<text x="{x(least + 2):.1f}" y="{y(0.96 * bars.max()):.1f}">{least:.1f}°</text>')
-    return f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}">{"".join(parts)}</svg>'
+        x, width, height = left + across * k * dihedral["bin"] + 1, across * dihedral["bin"] - 2, up * bars[k]
+        place = f'x="{x:.1f}" y="{floor - height:.1f}" width="{width:.1f}" height="{height:.1f}"'
+        parts.append(f'<rect {place} fill="#5d93a0"/>')
+    x = left + across * least
+    parts.append(f'<polyline points="{x:.1f},{floor} {x:.1f},14" stroke="#c82828" stroke-width="2"/>')
+    parts.append(f'<text x="{x + 2 * across:.1f}" y="{floor - 0.96 * 438:.1f}">{least:.1f}°</text>')
+    return f'<svg viewBox="0 0 560 480" width="560" height="480">{"".join(parts)}</svg>'
 
 
 def length(metres: float) -> str:

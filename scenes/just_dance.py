@@ -63,9 +63,7 @@ class JustDance:
         middle = 0.5 * (dancer.low + dancer.high)
         target = (middle[0], STAGE_TOP + 0.5 * self.height, middle[2])
         release = (0.5 * prop.centroid[0], 1.45, 1.15)
-        size = float(np.ptp([prop.low, prop.high], axis=0).max())
-        times = {"approach_time": 0.3, "lift_time": 0.6, "acceleration_time": 0.15, "flight_time": FLIGHT_TIME}
-        return Throw(tuple(prop.centroid), release, target, grab_radius=0.7 * size, **times)
+        return Throw.of(prop, release, target, approach_time=0.3, lift_time=0.6, flight_time=FLIGHT_TIME)
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         return [self.throw.hand(time - self.turn * THROW_PERIOD)] if self.throw else []

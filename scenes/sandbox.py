@@ -67,17 +67,7 @@ class Sandbox:
         middle = 0.5 * (body.low + body.high)
         release = (middle[0] + 0.25 * h, body.low[1] + 0.9 * h, body.high[2] + 0.7 * h)
         chest = (middle[0], body.low[1] + 0.65 * h, middle[2])
-        size = float(np.ptp([ring.low, ring.high], axis=0).max())
-        return Throw(
-            tuple(ring.centroid),
-            release,
-            chest,
-            grab_radius=0.7 * size,
-            approach_time=0.3,
-            lift_time=0.5,
-            acceleration_time=0.15,
-            flight_time=0.25 * np.sqrt(h),
-        )
+        return Throw.of(ring, release, chest, approach_time=0.3, lift_time=0.5, flight_time=0.25 * np.sqrt(h))
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         return [self.throw.hand(time - self.throw_start)] if self.throw else []

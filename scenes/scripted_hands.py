@@ -42,6 +42,12 @@ class Throw:
     acceleration_time: float = 0.3
     flight_time: float = 0.45
 
+    @classmethod
+    def of(cls, thing: BodyState, release, target, **times: float) -> Throw:
+        """A throw of a whole body, taken anywhere."""
+        size = float(np.ptp([thing.low, thing.high], axis=0).max())
+        return cls(tuple(thing.centroid), release, target, grab_radius=0.7 * size, acceleration_time=0.15, **times)
+
     @property
     def released_at(self) -> float:
         """Time [s] from the start until the hand opens."""

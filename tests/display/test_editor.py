@@ -13,7 +13,6 @@ from display.edit import selection_marker as marking
 from display.edit.body_registry import FULL_NOTICE as FULL
 from display.edit.editor import Editor, Step, UndoStack
 from display.edit.selection_marker import marked, strokes
-from display.user_commands import Select, Undo
 from display.xr import avatar
 from scenes.dining_table import RING_MATERIAL as RUBBER
 from tests.support.edited_play import BLUE, DT, RED, Play, equal
@@ -487,9 +486,9 @@ def test_commands_choose_for_a_moment(monkeypatch):
     now = [10.0]
     monkeypatch.setattr("display.edit.editor.monotonic", lambda: now[0])
     editor = Editor(None, N(members=(None, None)))
-    editor.apply([Undo()])
+    editor.apply([cmd.Undo()])
     assert not editor.recently_selected
-    editor.apply([Select(1)])
+    editor.apply([cmd.Select(1)])
     assert editor.recently_selected
     now[0] += marking.MARKED_SECONDS + 0.1
     assert not editor.recently_selected

@@ -339,7 +339,6 @@ class Model:
             "body_of_triangle": np.repeat(index, np.diff(self.triangle_begin)),
             "vertex_begin": self.vertex_begin,
             "tet_begin": self.tet_begin,
-            "triangle_begin": self.triangle_begin,
             "mu": [lame(m)[0] for m in material],
             "lam": [lame(m)[1] for m in material],
             "kappa": self.kappas,

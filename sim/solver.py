@@ -297,7 +297,7 @@ class Solver:
         """
         models, motions, grasps = self._in_motion()
         i = body_index(i, models)
-        model, (x, v) = models[i], place_and_velocity(motions[i])
+        model, (x, v) = models[i], positions_and_velocities(motions[i])
         rest, center = model.shape.vertices, model.shape.center
         c = np.average(x, axis=0, weights=model.mass)
         R = best_fit_rotation(((x - c) * model.mass[:, None]).T @ (rest - center))
@@ -314,7 +314,7 @@ class Solver:
         """
         models, motions, grasps = self._in_motion()
         i = body_index(i, models)
-        model, (x, v) = models[i], place_and_velocity(motions[i])
+        model, (x, v) = models[i], positions_and_velocities(motions[i])
         if not (np.isfinite(factor) and factor > 0.0):
             raise BadInput(f"{model.body.name}: cannot be scaled by {factor}")
         center = np.average(x, axis=0, weights=model.mass) if about is None else np.asarray(about, np.float64)
@@ -331,7 +331,7 @@ class Solver:
         R = M[:3, :3]
         if M.shape != (4, 4) or not np.isfinite(M).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-6:
             raise BadInput(f"{models[i].body.name}: the matrix is not a rigid motion")
-        x, v = place_and_velocity(motions[i])
+        x, v = positions_and_velocities(motions[i])
         shift = x @ (R.T - np.eye(3)) + M[:3, 3]
         motions[i] = motion_in_float32(x + shift, 0.0 * v if rest else v @ R.T)
         self._change(models, motions, None if grasps is None else grasps.shifted(i, shift))
@@ -504,7 +504,7 @@ class Solver:
         return [b in grasped for b in range(len(self._model.bodies))]
 
 
-def place_and_velocity(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def positions_and_velocities(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions [m] and velocities [m/s] of a motion (4, V, 3), in double precision, (V, 3) each."""
     m = motion.astype(np.float64)
     return m[0] + m[1], m[2] + m[3]

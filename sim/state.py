@@ -69,7 +69,6 @@ class State:
         # Bodies
         self.vertex_begin = g.scalar(B + 1, dtype=ti.i32)
         self.tet_begin = g.scalar(B + 1, dtype=ti.i32)
-        self.triangle_begin = g.scalar(B + 1, dtype=ti.i32)
         self.mu = g.scalar(B)  # second Lame constant [Pa]
         self.lam = g.scalar(B)  # lambda_L + mu [Pa], lambda of the energy (sim/elastic/energy.py)
         self.kappa = g.scalar(B)  # largest stiffness bound of a tet [1/s^2]

@@ -17,6 +17,7 @@ The integrator that runs the substep is handed to the phases, because they depen
 
 import ctypes
 import sys
+from functools import cache
 
 import taichi as ti
 
@@ -318,14 +319,15 @@ def own_vertices(integrator: ti.template(), thread):
     return begin + thread % size, ti.min(begin + length, count)
 
 
-def phase_kernels(s: State, integrator, c: Constraint) -> tuple[list, list]:
-    """The phases of constraint c as kernels of their own, and one that releases its groups, if it has any.
+def phase_kernels(s: State, integrator, c: Constraint, passes=(ALL_PASSES,)) -> list[list]:
+    """The phases of constraint c as kernels of their own: a list for each of `passes`, the most after the first phase.
 
     With rigid bodies a single kernel for a CPU would take minutes to compile.
     """
     lanes = lane_count()
 
-    def phase_kernel(phase: int):
+    @cache
+    def kernel(phase: int, last: bool):
         @ti.kernel
         def run():
             if ti.static(phase > 0 and c.max_groups > 0):
@@ -333,19 +335,31 @@ def phase_kernels(s: State, integrator, c: Constraint) -> tuple[list, list]:
                 for k in range(c.max_groups * lanes):
                     if k // lanes < c.group_count():
                         c.solve_group(phase, k // lanes, k % lanes)
+                        if ti.static(last):
+                            c.release_group(k // lanes)
             ti.loop_config(serialize=s.serial)
             for k in range(c.phase_sizes[phase]):
                 c.solve_phase(integrator, ti.static(phase > 0), phase, k)
 
         return run
 
-    @ti.kernel
-    def release():
-        for g in range(c.max_groups):
-            if g < c.group_count():
-                c.release_group(g)
+    lists = []
+    for most in passes:
+        end = min(1 + most, len(c.phase_sizes))
+        lists.append([kernel(phase, phase == end - 1) for phase in range(end)])
+    return lists
 
-    return [phase_kernel(phase) for phase in range(len(c.phase_sizes))], [release] if c.max_groups > 0 else []
+
+def evaluation_kernel(s: State, c: Constraint):
+    """Kernel that evaluates all elements of constraint c."""
+
+    @ti.kernel
+    def evaluation():
+        ti.loop_config(serialize=s.serial)
+        for k in range(c.phase_sizes[0]):
+            c.evaluate(k)
+
+    return evaluation
 
 
 def block_size(s: State, n: int) -> int | None:

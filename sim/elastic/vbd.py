@@ -27,7 +27,7 @@ from core.errors import BadInput
 from core.fields import FieldGroup, Upload, round_up_capacity
 from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
-from sim.elastic.substep import Constraint, block_size, commit, phase_kernels
+from sim.elastic.substep import ALL_PASSES, Constraint, block_size, commit, phase_kernels
 from sim.model import Model, RestShape, stacked
 from sim.reductions import ReductionBlocks
 from sim.state import State
@@ -222,7 +222,11 @@ class VBDSubsteps:
 
     def _record(self, substeps: int):
         if self.kernels is None:
-            self.kernels = self._begin(), self._sweep(), self._phases(), self.modal.kernels(), self._end()
+            phases = [[self._phases()] if self.in_pairs else []] * 2  # of all sweeps but the last, and of that
+            if self.descent.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
+                rigid = [phase_kernels(self.state, self, c, (EARLY_PASSES, ALL_PASSES)) for c in self.in_pairs]
+                phases = [[k for kernels in rigid for k in kernels[n]] + phases[n] for n in range(2)]
+            self.kernels = self._begin(), self._sweep(), phases, self.modal.kernels(), self._end()
         begin, sweep, phases, modal, end = self.kernels
         colors = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
         graph = ti.graph.GraphBuilder()
@@ -295,26 +299,22 @@ class VBDSubsteps:
 
         return sweep
 
-    def _phases(self) -> tuple[list, list]:
-        """Kernels of the constraints, for all sweeps but the last and for that."""
-        s, in_pairs, has_rigid = self.state, self.in_pairs, self.descent.has_rigid
+    def _phases(self):
+        s, in_pairs = self.state, self.in_pairs
 
         @ti.kernel
-        def push():
-            for c in ti.static([] if has_rigid else in_pairs):
+        def phases():
+            for c in ti.static([] if self.descent.has_rigid else in_pairs):
                 for phase in ti.static(range(len(c.phase_sizes))):
                     ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
                     for k in range(c.phase_sizes[phase]):
                         c.solve_phase(self, ti.static(phase > 0), phase, k)
-            s.each_vertex(self.descent.push)
+            ti.loop_config(serialize=s.serial)
+            for i in range(s.V):
+                if s.awake_vertex(i):
+                    self.descent.push(i)
 
-        early, last = [], []
-        for c in in_pairs if has_rigid else []:  # several kernels, as in sim/elastic/xpbd.py
-            phases, release = phase_kernels(s, self, c)
-            early += phases[: 1 + EARLY_PASSES] + release
-            last += phases + release
-        end = [push] if in_pairs else []
-        return early + end, last + end
+        return phases
 
     def _end(self):
         s = self.state

@@ -15,6 +15,7 @@ from sim.elastic.substep import (
     block_size,
     commit,
     evaluate_candidates,
+    evaluation_kernel,
     own_vertices,
     phase_kernels,
     solve_phases,
@@ -116,10 +117,6 @@ class XPBDSubsteps:
         @ti.kernel
         def begin():
             self._begin()
-            for c in ti.static(in_pairs):
-                ti.loop_config(serialize=s.serial)
-                for k in range(c.phase_sizes[0]):
-                    c.evaluate(k)
 
         @ti.kernel
         def end():
@@ -127,8 +124,10 @@ class XPBDSubsteps:
 
         if not self.has_rigid:
             return [substep]
-        phases = [phase_kernels(s, self, c) for c in in_pairs]
-        return [begin, *(k for kernels, release in phases for k in (*kernels, *release)), end]
+        kernels = [begin]
+        for c in in_pairs:
+            kernels += [evaluation_kernel(s, c), *phase_kernels(s, self, c)[0]]
+        return [*kernels, end]
 
 
 @ti.data_oriented

@@ -252,7 +252,7 @@ def distance_to_surface(points: np.ndarray, vertices: np.ndarray, faces: np.ndar
     best = np.full(len(points), np.inf)
     for k in range(NEAREST_SAMPLES):
         foot = closest_point(corners[triangle[near[:, k]]], points)
-        best = np.minimum(best, np.linalg.norm(points - foot, axis=1))
+        best = np.fmin(best, np.linalg.norm(points - foot, axis=1))  # without the feet of triangles that are a line
     return best
 
 

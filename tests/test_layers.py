@@ -27,10 +27,10 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_550, "assets": 4_700, "scenes": 2_300, "sim": 10_800, "render": 3_350, "prepare": 13_800,
-    "display": 13_900, "commands": 4_150, "bench": 3_650, "installer": 200, "tests": 33_050,
+    "core": 2_500, "assets": 4_550, "scenes": 2_250, "sim": 10_350, "render": 3_350, "prepare": 12_800,
+    "display": 13_050, "commands": 3_900, "bench": 3_100, "installer": 200, "tests": 32_000,
 }  # fmt: skip
-MOST_FILES = 300  # of the product
+MOST_FILES = 295  # of the product
 
 
 def product_files() -> list[Path]:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+from contextlib import suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Lock
 
@@ -9,46 +13,82 @@ import cv2
 import numpy as np
 
 from assets.file_access import file_size
+from assets.images import without_stderr
 from core.errors import BadInput
 
 SIDE = 512  # [px] of the pictures that the networks take
 MODEL_MAX = 4 << 30  # [bytes]
+PATIENCE = 600  # [s] for an answer: a large network on a slow machine takes a few
 LEVELS = 255.0  # the published exports give 0..255, others 0..1
 
 
 class OnnxNetwork:
-    """A network with named inputs (1, C, SIDE, SIDE) float32 and one output (1, `channels`, SIDE, SIDE)."""
+    """A network with named inputs (1, C, SIDE, SIDE) float32 and one output (1, `channels`, SIDE, SIDE).
+
+    It is read and run in a process of its own: a damaged file can crash OpenCV.
+    """
 
     def __init__(self, path: str | Path, channels: int):
         """Read the file. Raises BadInput."""
-        self.path, self.channels, self._lock = Path(path), channels, Lock()
+        self.path, self._shape, self._lock = Path(path), (channels, SIDE, SIDE), Lock()
         if self.path.suffix.lower() != ".onnx":
             raise BadInput(f"{path}: a network is an .onnx file")
         if file_size(self.path) > MODEL_MAX:
             raise BadInput(f"{path}: larger than {MODEL_MAX >> 30} GiB")
-        try:
-            self._net = cv2.dnn.readNetFromONNX(str(self.path))
-        except cv2.error as e:
-            raise BadInput(f"{path}: OpenCV cannot read it as an ONNX network ({_reason(e)})") from e
+        context = get_context("spawn")  # Taichi, which this process may run, survives no fork
+        self._pipe, far = context.Pipe()
+        self._process = context.Process(target=serve, args=(far, str(path), (1, *self._shape)), daemon=True)
+        self._process.start()
+        far.close()  # else its end would not be seen here
+        self._fault = self._answer().decode()  # with which the process has ended
+        if self._fault:
+            raise BadInput(f"{path}: OpenCV cannot read it as an ONNX network ({self._fault})")
 
     def run(self, **inputs: np.ndarray) -> np.ndarray:
         """The output (channels, SIDE, SIDE) for inputs (C, SIDE, SIDE) by name; from any thread. Raises BadInput."""
-        shape = (1, self.channels, SIDE, SIDE)
-        try:
-            with self._lock:
-                for name, values in inputs.items():
-                    self._net.setInput(np.ascontiguousarray(values[None], np.float32), name)
-                found = np.array(self._net.forward())
-        except cv2.error as e:
+        with self._lock:
+            if not self._fault:
+                with suppress(OSError):  # it has ended, which `_answer` tells
+                    self._pipe.send({name: np.ascontiguousarray(v[None], np.float32) for name, v in inputs.items()})
+                self._fault = self._answer().decode()
+            found = b"" if self._fault else self._answer()
+        if self._fault:
             names = " and ".join(f"`{name}`" for name in inputs)
-            raise BadInput(f"{self.path}: does not run on inputs {names} of {SIDE} px ({_reason(e)})") from e
-        if found.shape != shape or not np.isfinite(found).all():
-            raise BadInput(f"{self.path}: gives {found.shape}, expected finite {shape}")
-        return found[0]
+            raise BadInput(f"{self.path}: does not run on inputs {names} of {SIDE} px ({self._fault})")
+        return np.frombuffer(found, np.float32).reshape(self._shape)
+
+    def _answer(self) -> bytes:
+        """What the process says next; why it says nothing more, once that is so."""
+        try:
+            if self._pipe.poll(PATIENCE):
+                return self._pipe.recv_bytes()
+            self._process.kill()
+            return b"it took more than %d s" % PATIENCE
+        except (EOFError, OSError):
+            return b"OpenCV crashed"
 
 
-def _reason(error: Exception) -> str:
-    return " ".join(str(getattr(error, "err", "") or error).split())[:120]
+def serve(pipe: Connection, path: str, shape: tuple[int, ...]) -> None:
+    """Read and run a network, in its own process: inputs by name come through the pipe.
+
+    The answer to the file is an empty text, that to inputs an empty text and the output, of this shape; a fault is
+    answered by a text of its own, and ends the process.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program ends this process
+    with without_stderr(), suppress(EOFError, OSError):  # the program has ended
+        try:
+            network = cv2.dnn.readNetFromONNX(path)
+            pipe.send_bytes(b"")
+            while True:
+                for name, values in pipe.recv().items():
+                    network.setInput(values, name)
+                found = np.array(network.forward())
+                if found.shape != shape or not np.isfinite(found).all():
+                    raise ValueError(f"gives {found.shape}, expected finite {shape}")
+                pipe.send_bytes(b"")
+                pipe.send_bytes(found.astype(np.float32).tobytes())
+        except (cv2.error, MemoryError, ValueError) as e:
+            pipe.send_bytes(" ".join(str(getattr(e, "err", "") or e).split())[:120].encode())
 
 
 class MaskNetwork:

@@ -92,3 +92,17 @@ def test_other_networks_and_files_are_refused(tmp_path):
     write_lama(tmp_path / "other.onnx", image="picture")
     with pytest.raises(BadInput, match="inputs `image` and `mask`"):
         LamaNetwork(tmp_path / "other.onnx")(np.zeros((8, 8, 3), np.float32), np.ones((8, 8), bool))
+
+
+def test_a_network_that_crashes_opencv_is_refused(tmp_path):
+    """Of an operation that it does not know it prints the name, which must be a text."""
+    path = tmp_path / "broken.onnx"
+    write_lama(path)
+    network = LamaNetwork(path)
+    path.write_bytes(path.read_bytes().replace(b"\x03Add", b"\x03\xffdd"))
+    with pytest.raises(BadInput, match="broken.onnx: OpenCV cannot read it as an ONNX network"):
+        LamaNetwork(path)
+    network._net._process.kill()
+    for _ in range(2):
+        with pytest.raises(BadInput, match=r"does not run on inputs `image` and `mask` of 512 px \(OpenCV crashed\)"):
+            network(*holed())

@@ -27,6 +27,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from http import HTTPStatus
+from ipaddress import ip_address
 from pathlib import Path
 from string import Template
 from time import perf_counter
@@ -164,7 +165,7 @@ class PageServer:
         self._pages: list[Page] = []  # the first one plays
         self._events: deque[tuple] = deque()
         self.flows: list[PictureFlow] = []  # of all pages so far
-        self._socket = listen(host, port)
+        self._socket, self._host = listen(host, port), host
         self._loop = asyncio.new_event_loop()
         self._ended = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="page server", daemon=True)
@@ -327,7 +328,9 @@ class PageServer:
             url, origin = urlsplit(request.path), request.headers.get("Origin")
             token = parse_qs(url.query).get("token", [""])[0]
             known = hmac.compare_digest(token.encode(), self._token.encode())
-            here = origin is None or urlsplit(origin).netloc == request.headers.get("Host")  # a page of another site
+            host = request.headers["Host"]
+            here = origin is None or urlsplit(origin).netloc == host  # a page of another site
+            here = here and known and names_here(host, self._host)  # or one whose name was pointed to this machine
         except (ValueError, LookupError):
             known = here = False
         if not known or not here:
@@ -444,6 +447,18 @@ def listen(host: str, port: int) -> socket.socket:
             raise BadInput(f"cannot listen on {host}, port {one} ({reason})") from e
     taken = f"port {port} is taken" if port else f"the ports {ports[0]} to {ports[-1]} are taken"
     raise BadInput(f"{taken}: choose another one with --web PORT")
+
+
+def names_here(host: str, listening: str) -> bool:
+    """Tell whether the Host of a request, with or without a port, is an address or a name of this machine.
+
+    `listening`: the name or address that the user gave. Raises ValueError for what is no host.
+    """
+    name, own = (urlsplit(f"//{host}").hostname or "").rstrip("."), socket.gethostname().lower()
+    with contextlib.suppress(ValueError):
+        ip_address(name)
+        return True
+    return name in ("localhost", listening.lower(), own, f"{own}.local") or name == socket.getfqdn().lower()
 
 
 def response(connection, status: HTTPStatus, body: str = "", kind: str = "text/plain", policy: str = ""):

@@ -100,7 +100,7 @@ def test_a_network_that_crashes_opencv_is_refused(tmp_path):
     write_lama(path)
     network = LamaNetwork(path)
     path.write_bytes(path.read_bytes().replace(b"\x03Add", b"\x03\xffdd"))
-    with pytest.raises(BadInput, match="broken.onnx: OpenCV cannot read it as an ONNX network"):
+    with pytest.raises(BadInput, match=r"broken\.onnx: OpenCV cannot read it as an ONNX network"):
         LamaNetwork(path)
     network._net._process.kill()
     for _ in range(2):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import _thread
+import errno
 import os
 import sys
 import threading
@@ -63,10 +64,15 @@ def run(argv: list[str]) -> int:
             raise
         print("vrgs: not enough memory; try a smaller picture or fewer Gaussians", file=sys.stderr)
         return 2
-    except Cancelled:
-        return 0
     except BrokenPipeError:  # `vrgs.py scenes | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as e:
+        if e.errno != errno.ENAMETOOLONG:
+            raise
+        print(f"vrgs: a name of more than 255 bytes is too long for a file: {str(e.filename)[:60]}...", file=sys.stderr)
+        return 2
+    except Cancelled:
         return 0
 
 

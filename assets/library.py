@@ -12,6 +12,7 @@ import shutil
 import sys
 import tempfile
 from functools import cache
+from os.path import isfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,17 +30,16 @@ _searched = [SHIPPED_FOLDER]  # folders of named assets, in turn
 
 def is_asset(name: str) -> bool:
     """True if a body or room is an asset already: a shipped one, or an .h5 file."""
-    return (SHIPPED_FOLDER / f"{name}.h5").is_file() or Path(name).suffix.lower() == ".h5"
+    return isfile(SHIPPED_FOLDER / f"{name}.h5") or Path(name).suffix.lower() == ".h5"
 
 
 def find_asset(name: str) -> Path:
     """Path of an asset named as in a scene: a shipped one ("ring") or a file. Raises BadInput."""
     for folder in _searched:
-        if (folder / f"{name}.h5").is_file():
+        if isfile(folder / f"{name}.h5"):  # False for a name too long, too
             return folder / f"{name}.h5"
-    path = Path(name)
-    if path.is_file():
-        return path
+    if isfile(name):
+        return Path(name)
     known = ", ".join(sorted(p.stem for p in SHIPPED_FOLDER.glob("*.h5"))) or "none (run: python -m studio)"
     raise BadInput(f"{name}: no such asset; shipped ones: {known}")
 

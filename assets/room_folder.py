@@ -11,6 +11,7 @@ All is data: nothing in such a folder is run.
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -116,7 +117,7 @@ class RoomManifest:
 
 def is_room_folder(path: str | Path) -> bool:
     """True for a folder with a manifest."""
-    return (Path(path) / MANIFEST).is_file()
+    return os.path.isfile(Path(path) / MANIFEST)
 
 
 def write_room(folder: Path, room: RoomManifest) -> None:

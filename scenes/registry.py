@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import os
 import pkgutil
 import sys
 import traceback
@@ -216,7 +217,7 @@ def load(
     if found is None:
         if is_ours or is_scene_file(name):
             raise BadInput(f"{name}: it has no function build (docs/writing_a_scene.md)")
-        if Path(name).is_dir():
+        if os.path.isdir(name):
             raise BadInput(f"{name}: holds no {MANIFEST}; a captured room is made by: vrgs.py capture")
         raise BadInput(f"no scene named {name!r}; there are: {', '.join(names())}")
     if found.build is None:

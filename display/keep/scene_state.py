@@ -9,6 +9,7 @@ from __future__ import annotations
 import builtins
 import hashlib
 import math
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
@@ -67,7 +68,7 @@ def located(about: dict) -> dict:
     """The options, with absolute paths of the user's files: a state may be opened from another folder."""
 
     def whole(name: str) -> str:
-        return str(Path(name).absolute()) if Path(name).is_file() else name
+        return str(Path(name).absolute()) if os.path.isfile(name) else name
 
     bodies, files = about.get("body"), {}
     if isinstance(bodies, list):

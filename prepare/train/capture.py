@@ -43,6 +43,8 @@ class Lens:
             raise BadInput(
                 f"{where}: a focal length of {self.fx:g} x {self.fy:g} pixels does not fit {self.width}x{self.height}"
             )
+        if not all(abs(c) < 1e4 * side for c, side in ((self.cx, self.width), (self.cy, self.height))):
+            raise BadInput(f"{where}: the centre ({self.cx:g}, {self.cy:g}) is too far from the picture")
 
     @property
     def distorts(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
+from os.path import isfile
 from pathlib import Path
 
 import numpy as np
@@ -71,8 +72,8 @@ def checked(capture: Capture) -> Capture:
     """The capture, its views sorted by name. Raises BadInput if no training is possible with it."""
     views = sorted(capture.views, key=lambda v: str(v.image))
     for view in views:
-        if not view.image.is_file():
-            missing = sum(not v.image.is_file() for v in views)
+        if not isfile(view.image):  # False for a name too long, too
+            missing = sum(not isfile(v.image) for v in views)
             raise BadInput(f"{view.image}: no such image ({missing} of {len(views)} are missing)")
     if len(views) < VIEWS_MIN:
         raise BadInput(
@@ -145,8 +146,10 @@ def _inside(where: Path, folder: Path, name: str) -> Path:
 
 def _frame_lens(where: str, values: dict, image: Path) -> Lens:
     def number(name: str, default: float | None = None) -> float | None:
-        value = values.get(name, default)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+        value = values.get(name)
+        if value is None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise BadInput(f"{where}: {name} is not a number")
         if isinstance(value, int) and abs(value) > MAGNITUDE_MAX:
             raise BadInput(f"{where}: {name} is too large")
@@ -206,9 +209,7 @@ def read_colmap(model: Path, folder: Path) -> Capture:
         raise BadInput(f"{model}: {e.filename} cannot be read ({e.strerror})") from e
     except (struct.error, ValueError, IndexError, OverflowError, UnicodeDecodeError) as e:
         raise BadInput(f"{model}: a file of this COLMAP model is cut off or damaged ({str(e)[:100]})") from e
-    pictures = next(
-        (folder / name for name in IMAGE_FOLDERS if images and (folder / name / images[0][2]).is_file()), None
-    )
+    pictures = next((folder / name for name in IMAGE_FOLDERS if images and isfile(folder / name / images[0][2])), None)
     views = []
     for pose, camera, name in images:
         if camera not in lenses:

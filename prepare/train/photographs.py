@@ -42,6 +42,8 @@ def load_photograph(view: View, reduce: int = 1, objects: np.ndarray | None = No
     height, width = mask.shape
     lens = view.lens.resized(width, height, str(view.image))
     pixels, mask = lens.undistort(pixels, mask)
+    if not mask.any():
+        raise BadInput(f"{view.image}: its lens, {lens.distortion}, distorts it so much that no pixel is left")
     if objects is not None:
         objects = lens.undistort_labels(objects)
     camera = View(view.image, lens, view.world_to_camera).camera()

@@ -200,6 +200,9 @@ def test_grey_and_16_bit_images_are_read(tmp_path, kind):
     ("change", "says"),
     [
         (lambda t: t["frames"][2].update(file_path="images/9.png"), "9.png: no such image (1 of 4"),
+        (lambda t: t["frames"][2].update(file_path="9" * 300), "9.png: no such image (1 of 4"),
+        (lambda t: t["frames"][2].update(file_path="9" * 100_000), "99 ... 99"),
+        (lambda t: t.update(cx=1e300, fl_y=None), "(1e+300, 15.5) is too far from the picture"),
         (lambda t: t["frames"][1].update(file_path="../9.png"), "not inside of the capture"),
         (lambda t: t["frames"][1].update(transform_matrix=[[1, 0], [0, 1]]), "not a finite 4x4 matrix"),
         (lambda t: t["frames"][1].update(transform_matrix=(2 * np.eye(4)).tolist()), "scales by 2 to 2"),
@@ -231,6 +234,22 @@ def test_an_image_of_another_shape_and_a_damaged_one_are_named(folder):
     (folder / "images" / "1.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
     with pytest.raises(BadInput, match=r"1\.png: not an image"):
         load_photograph(views[1])
+
+
+@pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
+def test_a_lens_that_leaves_no_pixel_is_named(folder, model):
+    """With nothing to learn from, each training would be perfect."""
+    write(folder, transforms(camera_model=model, k1=1e300))
+    with pytest.raises(BadInput, match=r"0\.png: its lens, \(1e\+300, .*\), distorts it so much that no pixel is left"):
+        load_photograph(read_capture(folder).views[0])
+
+
+def test_a_name_in_a_colmap_model_may_be_too_long_for_a_file(folder):
+    text_model(folder)
+    images = folder / "sparse" / "0" / "images.txt"
+    images.write_text(images.read_text().replace("0.png", "0" * 300))
+    with pytest.raises(BadInput, match="000: no such image"):
+        read_capture(folder)
 
 
 def test_what_is_no_capture_is_said(tmp_path):

@@ -8,6 +8,8 @@ import taichi as ti
 from taichi._snode.snode_tree import SNodeTree
 from taichi.lang import impl
 
+TREES_MAX = 500  # Taichi 1.7.4 has room for 512, and crashes with more; some of its own
+_trees: list[SNodeTree] = []  # of all groups: a tree that is not destroyed outlives its group
 FIELD_OWNERS = ("core", "sim", "render")  # packages whose objects hold fields, see `destroy_fields`
 
 
@@ -53,8 +55,15 @@ class FieldGroup:
             self._records = None
 
     def build(self) -> None:
-        """Allocate the declared fields, all zero."""
+        """Allocate the declared fields, all zero. Raises RuntimeError if there are too many trees."""
+        program = impl.get_runtime().prog
+        _trees[:] = [tree for tree in _trees if not tree.destroyed and tree.prog is program]
+        if len(_trees) >= TREES_MAX:
+            raise RuntimeError(
+                f"{TREES_MAX} groups of fields are alive: destroy() solvers and renderers not needed more"
+            )
         self._tree = self._builder.finalize()
+        _trees.append(self._tree)
 
     def destroy(self) -> None:
         """Free the device memory; no kernel may use these fields afterwards."""

@@ -1,5 +1,6 @@
 """Fields that are freed while kernels stay compiled."""
 
+import pytest
 from taichi.lang import impl
 
 from core.fields import FieldGroup, destroy_fields, keep_compiled_kernels
@@ -21,3 +22,20 @@ def test_kernels_are_kept_until_the_outermost_context_ends(ti_cpu):
             destroy_fields(Holder())
         assert runtime.clear_compiled_functions() is None and "clear_compiled_functions" in vars(runtime)
     assert runtime.clear_compiled_functions == method
+
+
+def test_too_many_fields_are_an_error_and_those_that_are_freed_do_not_count(ti_cpu, monkeypatch):
+    """Taichi crashes with more trees than it has room for."""
+    monkeypatch.setattr("core.fields._trees", [])
+    monkeypatch.setattr("core.fields.TREES_MAX", 2)
+    groups = [FieldGroup() for _ in range(3)]
+    for group in groups:
+        group.scalar(4)
+    for group in groups[:2]:
+        group.build()
+    with pytest.raises(RuntimeError, match=r"groups of fields are alive: destroy\(\) solvers"):
+        groups[2].build()
+    groups[0].destroy()
+    groups[2].build()
+    groups[1].destroy()
+    groups[2].destroy()

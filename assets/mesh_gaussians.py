@@ -22,6 +22,7 @@ from assets.gaussians import MAGNITUDE_MAX, Gaussians, concatenate
 from core.errors import BadInput
 from core.mesh_sampling import (
     EdgePoints,
+    HalfEdges,
     Mesh,
     blue_noise,
     clip_to_edges,
@@ -135,6 +136,7 @@ def texture_colours(part: MeshPart, face: np.ndarray, weights: np.ndarray, spaci
 
 
 GAUSSIANS = 60_000
+ROWS_MAX = 2 * GAUSSIANS  # of them along edges, about: more where slivers are all edge, without bound
 DENSITY = 0.72  # points of blue noise in a squared spacing
 CANDIDATES, ROUNDS = 4, 3  # random points per squared spacing and round; after three rounds gaps are rare
 SIGMA = 0.9  # standard deviation over the spacing: closed where neighbours are farthest apart
@@ -156,8 +158,10 @@ def read_mesh_gaussians(path: str | Path, report: Callable[[str], None] = print)
     area = sum(triangle_areas(p.vertices[p.faces]).sum() for p in welded)
     if not area > 0.0:
         raise BadInput(f"{path}: the mesh has no area")
-    spacing, rng = float(np.sqrt(DENSITY * area / GAUSSIANS)), np.random.default_rng(0)
-    covered = concatenate([cover(p, spacing, rng) for p in welded])
+    edges = [edges_of(Mesh(p.vertices, p.faces)) for p in welded]
+    length = sum(np.linalg.norm(e.b - e.a, axis=1).sum() for e in edges)
+    spacing, rng = float(max(np.sqrt(DENSITY * area / GAUSSIANS), length / ROWS_MAX)), np.random.default_rng(0)
+    covered = concatenate([cover(p, e, spacing, rng) for p, e in zip(welded, edges, strict=True)])
     if not len(covered):
         raise BadInput(f"{path}: the mesh is transparent")
     return covered.transformed(np.eye(3), low, 1.0 / unit)
@@ -178,14 +182,13 @@ def triangle_areas(corners: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
-def cover(part: MeshPart, spacing: float, rng: np.random.Generator) -> Gaussians:
+def cover(part: MeshPart, edges: HalfEdges, spacing: float, rng: np.random.Generator) -> Gaussians:
     """Gaussians `spacing` [m] apart on a part, and rows of them along its creases and borders."""
     from trimesh.triangles import points_to_barycentric
 
     mesh = Mesh(part.vertices, part.faces)
     corners, normal = mesh.vertices[mesh.faces], face_normals(mesh)
     total = np.cumsum(triangle_areas(corners))
-    edges = edges_of(mesh)
     along = np.full(len(edges.a), spacing)
     edge_points = points_along(edges, along)
     points, face = np.zeros((0, 3)), np.zeros(0, int)

@@ -106,3 +106,10 @@ def test_an_asset_is_a_body_or_a_room_and_other_files_say_what_they_are(tmp_path
             file.attrs["format"] = kind
         with pytest.raises(BadInput, match=says):
             kind_of(tmp_path / "file.h5")
+
+
+@pytest.mark.parametrize("far", [1e5, 1e6])
+def test_a_sliver_is_covered_by_about_as_many_gaussians_as_any_mesh(far, tmp_path):
+    """Of a triangle that is all edge, edges would take as many as its length holds of its narrowest spacing."""
+    (tmp_path / "sliver.obj").write_text(f"v 0 0 0\nv {far} 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert 20_000 < len(read_gaussians(tmp_path / "sliver.obj")) < 2 * covering.ROWS_MAX

@@ -185,6 +185,43 @@ def mutated_value(rng: np.random.Generator, value):
     return value
 
 
+def like_value(rng: np.random.Generator, value):
+    """A JSON value of valid structure: one to three of its numbers, texts and truths are others of their kind."""
+    value, parents = json.loads(json.dumps({"": value})), []
+    _containers(value, parents)
+    places = [(p, k) for p in parents for k in (p if isinstance(p, dict) else range(len(p)))]
+    leaves = [(p, k) for p, k in places if not isinstance(p[k], (dict, list))]
+    for _ in range(rng.choice([1, 2, 3], p=[0.7, 0.2, 0.1])):
+        parent, key = leaves[rng.integers(len(leaves))] if leaves else ({"": None}, "")
+        old = parent[key]
+        if isinstance(old, bool) or old is None:
+            parent[key] = [True, False, None, 0.5, "x"][rng.integers(5)]
+        elif isinstance(old, str):
+            parent[key] = LIKE_TEXTS[rng.integers(len(LIKE_TEXTS))].replace("@", old)
+        else:
+            scaled = old * 10.0 ** rng.integers(-12, 13) if abs(old) < 1e200 else 1.0
+            parent[key] = [scaled, -old, old + 1, 0, 10**400, -(10**400), 1e300, 1e-300, int(scaled)][rng.integers(9)]
+    return value[""]
+
+
+LIKE_TEXTS = (
+    "@ ",
+    "x@",
+    "",
+    "@" * 2,
+    "z" * 300,
+    "é" * 200,
+    "a/" * 3000,
+    "../@",
+    "/@",
+    "con",
+    ".",
+    "\0",
+    "\ud800",
+    "a\nb",
+)
+
+
 def _containers(value, found: list) -> None:
     children = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     if len(children):
@@ -206,7 +243,7 @@ def mutated_json(rng: np.random.Generator, data: bytes) -> bytes:
         value = json.loads(data)
     except (ValueError, RecursionError):
         return flip_bits(rng, data)
-    return json_text(mutated_value(rng, value))
+    return json_text((like_value if rng.random() < 0.5 else mutated_value)(rng, value))
 
 
 JSON: list[Mutation] = [one_file(mutated_json)] * 6 + BYTES + TEXT

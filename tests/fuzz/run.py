@@ -96,6 +96,7 @@ def work(pipe, current, said: str, names: list[str]) -> None:
     import cv2
 
     cv2.setNumThreads(1)
+    vars(sys.modules["__main__"]).update(__spec__=None, __file__=None)  # processes of readers need not import it
     with open(said, "w+b", buffering=0) as log, tempfile.TemporaryDirectory() as folder:
         os.dup2(log.fileno(), 1)
         os.dup2(log.fileno(), 2)
@@ -172,7 +173,7 @@ class Fuzz:
     def _start(self, said: str):
         pipe, far = self._context.Pipe()
         current = self._context.Value("q", NOT_STARTED)
-        process = self._context.Process(target=work, args=(far, current, said, self._names), daemon=True)
+        process = self._context.Process(target=work, args=(far, current, said, self._names))
         process.start()
         far.close()
         return process, pipe, current

@@ -25,6 +25,7 @@ from assets.formats.gltf import PIXELS_MAX, read_mesh, read_rig
 from assets.images import decode_image, read_image_header
 from assets.library import animated_height, asset_material, cage_vertices, default_material
 from assets.mesh_gaussians import read_triangle_mesh, texture_colours
+from assets.room_folder import read_room
 from assets.splat_files import read_gaussians, write_gaussians
 from commands.play import PlayOptions, take_options
 from core.errors import BadInput
@@ -37,8 +38,12 @@ from display.study.comparison import compare_study, overview, table
 from display.study.questionnaire import read_answers_file
 from display.study.study_file import Study, read_study, write_study
 from display.web.page_messages import read_message
+from prepare.onnx_network import LamaNetwork
 from prepare.progress import Checkpoints, arrays_of, gaussians_of
 from prepare.rig.landmarks import read_landmarks
+from prepare.segment.marks import drawn_boxes, drawn_strokes, read_marks, read_splat_marks
+from prepare.segment.mask_files import read_masks
+from prepare.train.capture import Lens, View
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import load_photograph
 from prepare.train.trainer import read_checkpoint, write_checkpoint
@@ -59,6 +64,7 @@ from tests.fuzz.mutations import (
 )
 from tests.fuzz.sample_files import SomeGame, moving_body, record_some, some_stage, some_state
 from tests.prepare.test_captures import binary_model, text_model, transforms, write_images
+from tests.prepare.test_picture_inpainting import write_lama
 from tests.support import splat_encoders as encode
 from tests.support.glb import bar, packed
 from tests.support.samples import some_gaussians
@@ -264,6 +270,59 @@ def read_whole_capture(path: Path) -> None:
     assert np.isfinite([*capture.middle, capture.extent, *capture.up, *capture.upright().points.ravel()]).all()
 
 
+def network_samples(folder: Path) -> list[Files]:
+    return samples("lama.onnx", write_lama)(folder)
+
+
+def read_network(path: Path) -> None:
+    LamaNetwork(path)(np.full((16, 16, 3), 0.5, np.float32), np.eye(16) > 0)
+
+
+def room_samples(folder: Path) -> list[Files]:
+    """A captured room; only that its assets are there is checked."""
+    toy = {"name": "toy", "asset": "objects/toy.h5", "position": [0, 0, 1.5], "rotation": [1, 0, 0, 0]}
+    room = {"format": "vrgs-room", "version": 1, "background": "room.h5", "objects": [toy | {"fixed_below": 0.1}]}
+    room |= {"eye": [0, 1.6, 0], "target": [0, 0.8, 1], "fov_y": 1.2, "floor": 0.1, "metres_per_unit": 0.5}
+    room |= {"room_from_capture": np.eye(4).tolist(), "cameras": [CAMERA]}
+    return [{"room.json": json.dumps(room).encode(), "room.h5": b"1", "objects/toy.h5": b"1"}]
+
+
+def read_room_manifest(path: Path) -> None:
+    read_room(path.parent).transformed(np.eye(3), np.ones(3))
+
+
+def first_json(rng: np.random.Generator, files: Files) -> Files:
+    name = next(iter(files))
+    return files | {name: mutated_json(rng, files[name])}
+
+
+MARKED = {"bear": {"v": {"inside": [[[1, 2.5], [3, 4]]], "outside": [[[5, 6]]], "boxes": [[1, 1, 5, 5.5]]}}}
+
+
+def read_marks_file(path: Path) -> None:
+    """As marks on photographs, and on pictures of a splat; draw them."""
+    for marks in (read_marks(path, {"v": (16, 8)}), read_splat_marks(path).marks):
+        for view in marks.objects["bear"].values() if "bear" in marks.objects else ():
+            drawn_strokes(view.inside + view.outside, (8, 16))
+            drawn_boxes(view.boxes, (8, 16))
+
+
+def masks_samples(folder: Path) -> list[Files]:
+    """Masks of three photographs with the names of their objects."""
+    grey, mask = np.full((8, 16, 3), 90, np.uint8), np.zeros((8, 16, 3), np.uint8)
+    mask[:4, :8], mask[5:] = (30, 20, 10), (3, 2, 1)
+    files = {"objects.json": json.dumps({"bear": [10, 20, 30], "cup": [1, 2, 3]}).encode()}
+    for k in range(3):
+        files[f"{k}.png"] = cv2.imencode(".png", mask)[1].tobytes()
+        files[f"images/{k}.png"] = cv2.imencode(".png", grey)[1].tobytes()
+    return [files]
+
+
+def read_mask_folder(path: Path) -> None:
+    lens = Lens(16, 8, 20.0, 20.0, 8.0, 4.0)
+    read_masks(path.parent, [View(path.parent / f"images/{k}.png", lens, np.eye(4)) for k in range(3)])
+
+
 def samples(name: str, *save: Callable[[Path], object]) -> Callable[[Path], list[Files]]:
     """A sample from each of the functions, which write a file."""
     return lambda folder: [saved(folder, name, write) for write in save]
@@ -456,6 +515,15 @@ TARGETS = {
         Target("capture", capture_samples, read_whole_capture, lambda folder: [inside_capture]),
         Target("training", training_samples, read_training, in_hdf5),
         Target("image", image_samples, read_image),
+        Target("network", network_samples, read_network),
+        Target("room", room_samples, read_room_manifest, lambda folder: [first_json]),
+        Target(
+            "marks",
+            json_samples("marks.json", {"views": {"v": CAMERA}, "objects": MARKED, "grow": {"bear": 1}}),
+            read_marks_file,
+            in_json,
+        ),
+        Target("masks", masks_samples, read_mask_folder, lambda folder: [first_json]),
         Target("checkpoint", step_samples, read_step, lambda folder: [inside_zip(several(BYTES))]),
     )
 }

@@ -64,6 +64,12 @@ def flip_bits(rng: np.random.Generator, data: bytes) -> bytes:
     return bytes(found)
 
 
+def change_byte(rng: np.random.Generator, data: bytes) -> bytes:
+    """One byte, anywhere."""
+    at = int(rng.integers(len(data) + 1))
+    return data[:at] + rng.bytes(1) + data[at + 1 :]
+
+
 def truncate(rng: np.random.Generator, data: bytes) -> bytes:
     """An end that is missing."""
     return data[: rng.integers(0, len(data) + 1)]

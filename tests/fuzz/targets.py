@@ -56,9 +56,11 @@ from tests.fuzz.mutations import (
     TEXT,
     Files,
     Mutation,
+    change_byte,
     inside_gzip,
     inside_zip,
     mutated_json,
+    one_file,
     saved,
     several,
 )
@@ -515,7 +517,7 @@ TARGETS = {
         Target("capture", capture_samples, read_whole_capture, lambda folder: [inside_capture]),
         Target("training", training_samples, read_training, in_hdf5),
         Target("image", image_samples, read_image),
-        Target("network", network_samples, read_network),
+        Target("network", network_samples, read_network, lambda folder: [one_file(change_byte)]),
         Target("room", room_samples, read_room_manifest, lambda folder: [first_json]),
         Target(
             "marks",

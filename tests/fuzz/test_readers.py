@@ -11,12 +11,13 @@ CASES = 30  # of each reader
 
 def test_every_reader_reads_or_refuses(tmp_path):
     """Some hundreds, in a process of its own: a fault in a C library must not take the tests along."""
-    fuzz = Fuzz(20, {name: range(CASES) for name in TARGETS})
+    names = [name for name in TARGETS if name != "network"]  # each is a process more; `make nightly` reads them
+    fuzz = Fuzz(20, {name: range(CASES) for name in names})
     fuzz.run(jobs=1)
     assert not fuzz.failures, fuzz.failures[:3]
-    assert sum(fuzz.tally.values()) == CASES * len(TARGETS)
+    assert sum(fuzz.tally.values()) == CASES * len(names)
     for kind in ("read", "refused"):  # mutations are neither all in vain nor all too coarse
-        assert sum(n for (_, what), n in fuzz.tally.items() if what == kind) > 5 * len(TARGETS)
+        assert sum(n for (_, what), n in fuzz.tally.items() if what == kind) > 5 * len(names)
 
 
 def test_a_length_of_a_text_is_not_believed(tmp_path):

@@ -92,7 +92,8 @@ class KinematicTargets:
         s = self.state
         for i in range(s.V):
             if self.driven[i] != 0:
-                s.v[i] = ((self.target[i] - s.x[i]) - s.x_lo[i]) / dt
+                # in double precision: in single, fast-math folds x_lo into x
+                s.v[i] = ti.cast(ti.cast(self.target[i], ti.f64) - s.x[i] - s.x_lo[i], ti.f32) / dt
                 s.v_lo[i] = 0.0
 
     @ti.kernel

@@ -221,6 +221,23 @@ def test_driven_vertices_move_evenly_and_shake_the_rest(place):
     assert_allclose(solver.x.to_numpy()[first + root], rest, atol=1e-6)
 
 
+def test_driven_vertices_arrive_to_the_last_bit_of_both_parts_of_their_positions(place):
+    """20 m from the origin a float32 ends at 2 micrometres; what lies under it counts, where they come from too."""
+    solver, where = started(place, (0.0, 0.0, 0.0))
+    body, root = where["cantilever"].start, place[2]
+    mine = solver.vertex_offset[body] + root
+    rng, state = np.random.default_rng(0), solver.snapshot()
+    x = state["x"].astype(np.float64)
+    x[mine] += rng.uniform(-8e-7, 8e-7, (len(root), 3))
+    solver.restore({"x": x, "v": state["v"]})
+    for _ in range(2):
+        target = (x[mine] + rng.uniform(-1e-4, 1e-4, (len(root), 3))).astype(np.float32)
+        solver.kinematic.drive_vertices(body, root, target)
+        solver.step(FRAME)
+        after = solver.snapshot()
+        assert_allclose(after["x"][mine].astype(np.float64) + after["x_lo"][mine], target, rtol=0, atol=2e-8)
+
+
 def test_what_cannot_be_driven_is_said(place):
     solver, where, root = place
     body = where["cantilever"].start

@@ -271,6 +271,51 @@ def test_a_state_of_another_scene_or_other_files_changes_nothing(world, saved, t
     assert "No state" in world.notice
 
 
+class FragileGame:
+    """A game that fails in one of its methods, after it has changed."""
+
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        self.fails, self.count, self.seen = "", 0, []
+
+    def _act(self, method: str, result):
+        self.count += 1
+        self.seen.append(method)
+        if self.fails == method:
+            raise KeyError(method)
+        return result
+
+    def update(self, time, bodies):
+        self._act("update", None)
+
+    def hands(self, time, bodies):
+        return self._act("hands", [])
+
+    score = property(lambda self: self._act("score", 0))
+    message = property(lambda self: self._act("message", ""))
+
+
+@pytest.mark.parametrize("fails", ["update", "hands", "score", "message"])
+def test_a_load_that_fails_in_the_game_changes_neither_the_game_nor_the_world(world, saved, tmp_path, fails):
+    world.scene = replace(world.scene, game=FragileGame())
+    game = world.scene.game
+    try:
+        frames(world, 2, cmd.Reset())
+        write_state(tmp_path / "play.h5", state_of(world, ABOUT))
+        state = read_state(tmp_path / "play.h5")
+        broken = replace(state.settings.game, state=state.settings.game.state | {"fails": fails, "count": 99})
+        frames(world, 3, cmd.SetGravity((0.0, -2.0, 0.0)), cmd.Rescale(0, 1.1))
+        before, attributes = everything(world), json.dumps(vars(game))
+        with pytest.raises(BadInput, match="its game cannot go on"):
+            put_state(world, replace(state, settings=replace(state.settings, time=5.0, game=broken)), "play.h5")
+        assert json.dumps(vars(game)) == attributes
+        np.testing.assert_equal(everything(world), before)
+    finally:
+        world.scene = replace(world.scene, game=None)
+
+
 ROOT = Path(__file__).resolve().parents[2]
 DT = 1 / 60
 SECOND_HALF = 20  # frames

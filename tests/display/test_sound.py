@@ -6,6 +6,7 @@ import sys
 import threading
 import wave
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace as N
 
 import numpy as np
@@ -144,6 +145,43 @@ def test_the_mixer_adds_in_blocks_as_in_one_piece_and_limits():
     for _ in range(2 * VOICES):
         whole.play(np.full(100, 0.5, np.float32), (1.0, 1.0))
     assert LOUD < np.abs(whole.mix(100)).max() <= 1
+
+
+def test_what_is_quiet_is_played_as_it_is_and_what_is_loud_is_bent_towards_1():
+    """The twin: x up to 0.6, and 0.6 + 0.4 tanh((x - 0.6) / 0.4) from there on, without a step or a kink."""
+    mixer, x = Mixer(), np.linspace(-4, 4, 8001).astype(np.float32)
+    mixer.play(x, (1.0, 0.1))
+    loud, quiet = mixer.mix(len(x)).T.astype(float)
+    over = np.maximum(np.abs(x.astype(float)) - 0.6, 0.0)
+    assert np.allclose(loud, np.sign(x) * (np.minimum(np.abs(x), 0.6) + 0.4 * np.tanh(over / 0.4)), atol=1e-6)
+    assert np.allclose(quiet, 0.1 * x, atol=1e-6)
+
+
+def test_32_voices_sound_at_once_and_the_oldest_give_way():
+    mixer = Mixer()
+    for k in range(40):
+        mixer.play(np.full(10, 0.5 if k < 8 else 0.01, np.float32), (1.0, 1.0))
+    assert np.allclose(mixer.mix(10), 0.32, atol=1e-6)
+
+
+def test_loudness_goes_with_speed_and_mass_and_falls_with_the_distance():
+    """0.5 of a blow of 1 m/s by 200 g a metre away, as the square root of the mass (energy), at most 1.5; equal power
+    in all directions, and of a sound from the side the far ear hears the sine of a tenth of a right angle."""
+    world, blows = Bouncing(), []
+    with Sound(film=Path("none.mp4"), heard=False, asked=False, preferences=Preferences()) as sound:
+        sound._track.add = lambda time, waveform, gain: blows.append((time, *gain))
+        for frame in world.frames():
+            sound.after(frame, world)
+        first, *rest = np.linalg.norm(np.array(blows)[:, 1:], axis=1)
+    far = float(np.hypot(1.0, 0.05))  # the middle of the body's box
+    density, volume = MATERIALS["wood"].density, 0.0005
+    speeds = np.sqrt(2 * 9.81) * 0.7 ** np.arange(4)
+    assert np.allclose([first, *rest], np.minimum(0.5 * speeds * np.sqrt(density * volume / 0.2), 1.5) / far, rtol=0.1)
+    camera = perspective(320, 180, 0.9, look_at((0, 0, 1), (0, 0, 0)))
+    for at in np.random.default_rng(0).normal(size=(50, 3)):
+        assert np.hypot(*heard_from([camera], at)) == pytest.approx(1 / max(np.linalg.norm(at - [0, 0, 1]), 0.3))
+    left, right = heard_from([camera], np.array([1.0, 0.0, 1.0]))
+    assert (left, right) == pytest.approx((np.sin(np.pi / 20), np.cos(np.pi / 20)))
 
 
 def test_a_sound_comes_from_where_it_is():

@@ -126,6 +126,27 @@ def test_large_gradients_clone_or_split_and_what_is_faint_dies(trained):
     p.write(kept)
 
 
+def test_the_limits_of_densification_are_those_of_the_paper(trained):
+    """Kerbl 2023 and its code: divided above a mean gradient of 0.0002, cloned up to 0.01 of the extent, dead below
+    an opacity of 0.005. Here 10% to either side of each."""
+    p, extent = trained[0].population, 2.0
+    kept, n, visible = p.read(), p.count, 7.0
+    mean = np.zeros(n)
+    mean[:5] = 1.8e-4, 2.2e-4, 2.2e-4, 1.8e-4, 2.2e-4
+    sizes = np.full((n, 3), 1e-4)
+    sizes[:4, 1] = 0.009 * extent, 0.009 * extent, 0.011 * extent, 0.011 * extent  # the largest of the three counts
+    opacities = np.full(n, 0.5)
+    opacities[-2:] = 0.0045, 0.0055
+    rows = {"gradient_sum": visible * mean, "gradient_count": np.full(n, visible), "log_scale": np.log(sizes)}
+    rows["logit"] = np.log(opacities / (1 - opacities))
+    p.write(kept | {name: values.astype(np.float32) for name, values in rows.items()})
+    AdaptiveDensity(p, extent, CAP, np.random.default_rng(1)).refine()
+    after = p.read()["mean"]
+    p.write(kept)
+    copies = [(np.abs(after - m).max(axis=1) == 0.0).sum() for m in kept["mean"][[0, 1, 2, 3, 4, n - 2, n - 1]]]
+    assert copies == [1, 2, 0, 1, 2, 0, 1] and len(after) == n + 3 - 1
+
+
 def test_frozen_gaussians_stay_as_they_are_bit_for_bit(trained):
     """Through steps, both strategies, resets of opacities and noise; the others learn."""
     trainer, _ = trained
@@ -168,6 +189,12 @@ def test_shared_opacity_looks_as_before():
     assert factor[0] == pytest.approx(1.0) and (factor[1:] < 1.0).all() and (factor > 0.3).all()
 
 
+def opacity_at(rows: dict, places: np.ndarray) -> np.ndarray:
+    """How much is hidden at each place (N, 3) by all Gaussians there, one upon another."""
+    there = (rows["mean"][None] == places[:, None]).all(axis=2)
+    return 1 - np.where(there, 1 / (1 + np.exp(rows["logit"].astype(float))), 1.0).prod(axis=1)
+
+
 def test_monte_carlo_fills_its_budget_and_revives_the_dead(trained):
     p = trained[0].population
     kept, n = p.read(), p.count
@@ -175,6 +202,9 @@ def test_monte_carlo_fills_its_budget_and_revives_the_dead(trained):
     strategy = MonteCarlo(p, cap=n + 30, rng=np.random.default_rng(1))
     strategy.relocate()
     assert (p.read()["logit"] > logit(0.005)).all() and p.count == n
+    assert_allclose(
+        opacity_at(p.read(), kept["mean"][20:]), 1 / (1 + np.exp(-1.0)), atol=1e-5
+    )  # however many are there
     for _ in range(6):
         strategy.grow()
     assert p.count == min(n + 30, CAP)

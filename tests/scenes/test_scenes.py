@@ -13,7 +13,7 @@ import pytest
 
 import scenes
 from assets.asset import Asset
-from assets.library import animated_height, find_asset
+from assets.library import animated_height, cage_vertices, find_asset
 from commands.parser import COMMANDS
 from core.camera import look_at, perspective
 from core.material import Material
@@ -83,6 +83,21 @@ def test_a_ring_scores_around_the_bottle_once_it_is_let_go(held, height, score):
     game, at = ring_toss.RingToss(), np.array(BOTTLE) + (0.01, height, 0.0)
     game.update(0.0, [BodyState("ring", at, np.zeros(3), at - 0.08, at + 0.08, np.array([0.0, 1.0, 0.0]), held)])
     assert game.score == score
+
+
+@pytest.mark.parametrize("side", [1, -1])  # the sign of an axis means nothing
+@pytest.mark.parametrize("tilt", [0.0, 0.5])
+def test_a_ring_scores_if_the_bottle_stands_in_its_hole_and_not_beside_it(tilt, side):
+    """The hole and the outside are measured on the ring's own cage, which lies flat."""
+    x = cage_vertices("ring_red").astype(float)
+    radii, game = np.hypot(*(x - x.mean(0))[:, [0, 2]].T), ring_toss.RingToss()
+    axis = side * np.array([np.sin(tilt), np.cos(tilt), 0.0])
+    for angle in np.linspace(0, 2 * np.pi, 8, endpoint=False):
+        aside = np.array([np.cos(tilt) * np.cos(angle), -np.sin(tilt) * np.cos(angle), np.sin(angle)])  # in its plane
+        for away, score in ((0.98 * radii.min(), 1), (1.02 * radii.max(), 0)):
+            at = np.array(BOTTLE) + (0.0, 0.15, 0.0) + away * aside
+            game.update(0.0, [BodyState("ring", at, np.zeros(3), at - 0.1, at + 0.1, axis, False)])
+            assert game.score == score, (angle, away)
 
 
 @pytest.mark.long

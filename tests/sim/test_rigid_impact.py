@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from bench.physics import box
 from core.distance_grid import DistanceGrid
@@ -14,6 +16,7 @@ from sim.solver import Solver
 
 SIDE = 0.1
 FOOT_SIDES = 48
+ROD = np.concatenate([np.diag([0.15, 0.03, 0.05]), -np.diag([0.15, 0.03, 0.05])])
 
 
 def cube(x: float, low: float, restitution: float = 0.8, **options) -> RigidBody:
@@ -30,6 +33,26 @@ def slider_and_load() -> list[RigidBody | SoftBody]:
     return [RigidBody.box("slider", (0.2, SIDE, SIDE), density=1000.0, friction=0.3, position=position), load]
 
 
+def rods() -> list[RigidBody]:
+    """Three that come down on one end, tilted and spinning, just above the floor and without friction."""
+    found = []
+    for k, (slope, roll, e) in enumerate(((40, 0, 0.0), (25, 30, 0.5), (55, 70, 0.8))):
+        turn = Rotation.from_euler("zx", (slope, roll), degrees=True)
+        low = turn.apply(ROD)[:, 1].min()
+        found.append(
+            RigidBody.convex(
+                "rod", ROD, density=800.0, restitution=e, friction=0.0, position=(8 + k, 1e-4 - low, 0.0),
+                rotation=tuple(turn.as_quat(scalar_first=True)), velocity=(0.1, -1.0, 0.2), angular_velocity=(1, 2, -1),
+            )
+        )  # fmt: skip
+    return found
+
+
+def met() -> list[RigidBody]:
+    """Two equal cubes of different restitution, one of which flies into the other."""
+    return [cube(12, 1.0, 0.2), cube(12.12, 1.0, 0.7, velocity=(-2.0, 0.0, 0.0))]
+
+
 @pytest.fixture(scope="module", params=["xpbd", "vbd"])
 def run(ti_cpu, request) -> tuple[np.ndarray, Solver]:
     """Heights of all centres [m] in 1.5 s, (frames, bodies), and the solver after that."""
@@ -40,7 +63,7 @@ def run(ti_cpu, request) -> tuple[np.ndarray, Solver]:
     foot = RigidBody.convex("foot", np.concatenate([rim, rim + (0, SIDE, 0)]), density=1000.0, position=(4, 0, 0))
     sliding = slider_and_load() if request.param == "vbd" else []
     options = {"hands": 0, "sleep": False, "integrator": request.param}
-    solver = Solver([*on_two, *wedged, foot, *sliding], [Plane((0, 0, 0), (0, 1, 0), 0.5)], **options)
+    solver = Solver([*on_two, *wedged, foot, *sliding, *rods(), *met()], [Plane((0, 0, 0), (0, 1, 0), 0.5)], **options)
     seen = []
     for frame in range(90):
         if sliding and frame == 89:
@@ -89,8 +112,37 @@ def test_what_slides_under_an_elastic_load_is_braked_by_no_more_than_friction(ru
 
     The first substeps after a restore brake too much, as a load does not take up all of the impulses at once.
     """
-    slider, load = run[1].bodies()[6:]
+    slider, load = run[1].bodies()[6:8]
     assert 0.26 < slider.velocity[0] < 0.36 and 0.03 < load.velocity[0] < 0.08
+
+
+def test_impacts_follow_newtons_law(run):
+    """Moves the solver on, after the tests that look at the first fall.
+
+    At a lever arm r and inverse inertia I^-1:   p = (1 + e) speed / (1/m + (r x n) I^-1 (r x n)),   dv = p n / m,
+    dL = p r x n;   of two equal cubes the second leaves with (1 - e) / 2 of its speed, e the larger of their two.
+    """
+    solver, n = run[1], np.array([0.0, 1.0, 0.0])
+    solver.reset()
+    solver.gravity = (0.0, 0.0, 0.0)
+    solver.step(1 / 240)
+    m, first = solver.rigid_bodies, len(solver.bodies()) - 5
+    for b, rod in enumerate(rods(), first):
+        mass, center, inertia = rod.inertia
+        R = Rotation.from_quat(rod.rotation, scalar_first=True).as_matrix()
+        inertia, arms = R @ inertia @ R.T, (rod.vertices - center) @ R.T
+        r = arms[arms[:, 1].argmin()]
+        lever = np.cross(r, n)
+        speed = -(rod.velocity + np.cross(rod.angular_velocity, r)) @ n
+        p = (1 + rod.restitution) * speed / (1 / mass + lever @ np.linalg.solve(inertia, lever))
+        gained = m.v.to_numpy()[b] - rod.velocity
+        assert_allclose(mass * gained, p * n, atol=0.02 * p)
+        L = m.angular_momentum.to_numpy()[b] - inertia @ rod.angular_velocity
+        assert_allclose(L, p * lever, atol=0.02 * p * np.linalg.norm(r))
+    for _ in range(3):
+        solver.step(1 / 60)
+    one, other = solver.bodies()[-2:]
+    assert_allclose([one.velocity, other.velocity], [[-1.7, 0, 0], [-0.3, 0, 0]], atol=0.02)
 
 
 def test_a_flat_foot_stands_on_its_corners_where_its_cage_is_vaulted(ti_cpu):

@@ -66,6 +66,22 @@ def test_a_motion_that_ends_elsewhere_is_led_home():
     assert jump < 3 * np.abs(np.diff(t, axis=0)).max()
 
 
+def test_a_closed_turn_leads_to_its_first_frame():
+    """From any attitude, about axes that do not commute: with nine tenths of the gap closed, a tenth of it is left."""
+    rng = np.random.default_rng(1)
+    q = unit(np.cumsum(rng.normal(0, 0.05, (61, 4, 4)), axis=0) + rng.normal(size=(4, 4)))
+    zero = np.zeros((61, 4, 3))
+    turned = animation.close_loop((zero, q, zero + 1), 1.0, 60.0)[1]
+
+    def between(a, b):
+        return 2 * np.arccos(np.abs((a * b).sum(-1)).clip(0, 1))
+
+    gaps = between(q[0], q[-1])
+    assert gaps.min() > 0.2
+    assert (between(turned[0], turned[-1]) < 0.02 * gaps + between(q[-1], q[-2])).all()
+    assert_allclose(turned[0], q[0])
+
+
 def test_slerp_is_uniform_and_takes_the_shorter_way():
     a, angle = np.array([1.0, 0, 0, 0]), 1.2
     b = np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0])

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from assets.animation import linear_blend_skinning, world_matrices
 from assets.formats.gltf import PIXELS_MAX, GlbFile, read_mesh, read_rig
 from tests.support import samples
-from tests.support.glb import CODES, Builder, bar, packed
+from tests.support.glb import CODES, TIMES, Builder, bar, packed
 
 
 def whole(path):
@@ -88,6 +88,27 @@ def test_step_holds_and_the_cubic_spline_is_hermites(tmp_path):
             h = [2 * u**3 - 3 * u**2 + 1, u**3 - 2 * u**2 + u, 3 * u**2 - 2 * u**3, u**3 - u**2]
             expected = h[0] * moves[0] + h[2] * moves[1] + dt * (h[1] + h[3]) * tangent
             assert_allclose(moved[k], expected, atol=1e-6)
+
+
+def test_a_cubic_spline_reproduces_a_cubic_motion(tmp_path):
+    """Of Hermite's interpolation between keys at uneven times, with the tangents of each side, whatever the cubic."""
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(4, 3))
+    at, slope = (
+        (lambda t: sum(a[k] * t**k for k in range(4))),
+        (lambda t: sum(k * a[k] * t ** (k - 1) for k in (1, 2, 3))),
+    )
+    b, scene = bar()
+    keys = TIMES[:, None]
+    rows = np.stack([slope(keys), at(keys), slope(keys)], 1).reshape(-1, 3)
+    animation = scene["animations"][0]
+    times = animation["samplers"][0]["input"]
+    animation["samplers"].append({"input": times, "output": b.array(rows), "interpolation": "CUBICSPLINE"})
+    animation["channels"].append({"sampler": 1, "target": {"node": 0, "path": "translation"}})
+    rig, _ = read_rig(b.write(tmp_path / "a.glb", scene | {"buffers": [{"byteLength": len(b.binary)}]}))
+    moved = rig.frames[0][:, rig.names.index("lower")]
+    time = TIMES[0] + np.arange(len(moved))[:, None] / rig.fps
+    assert_allclose(moved, at(time), atol=1e-5)
 
 
 def changed(scene: dict, path: tuple, value):

@@ -1,6 +1,7 @@
 """`vrgs.py convert`: what it writes, what it says was lost, and what it refuses."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ import pytest
 from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
-from commands.export import ConvertOptions
+from commands.export import ConvertOptions, losses
 from commands.export import convert as run_convert
 from core.errors import BadInput
+from core.rotation import multiply_quaternions
 from tests.support.samples import FIELDS, some_gaussians
 from tests.support.splat_encoders import ksplat_bytes, sog_files, zipped
 
@@ -38,6 +40,21 @@ def test_ply_to_spz_and_back_says_what_was_lost(tmp_path, capsys):
         assert word in said
     assert "lost: nothing" in convert(tmp_path / "a.spz", tmp_path / "b.ply", capsys)
     np.testing.assert_allclose(read_gaussians(tmp_path / "b.ply").means, g.means, atol=2**-17 + 1e-6)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 3.0, 80.0, 170.0])
+def test_the_angle_that_a_conversion_turned_by_is_told_whatever_the_signs_of_quaternions(degrees):
+    g, rng, half = some_gaussians(40, 0), np.random.default_rng(0), np.radians(degrees) / 2
+    axes = rng.normal(size=(40, 3))
+    axes *= np.sin(half) / np.linalg.norm(axes, axis=1, keepdims=True)
+    turned = multiply_quaternions(np.column_stack([np.full(40, np.cos(half)), axes]), g.quats)
+    after = replace(g, quats=(turned * rng.choice([-1, 1], (40, 1))).astype(np.float32))
+    told = losses(g, after)
+    if not degrees:
+        assert told == []
+    else:
+        (line,) = told
+        assert float(re.fullmatch("rotations up to (.*) degrees", line)[1]) == pytest.approx(degrees, rel=0.06)
 
 
 def test_asset_to_ply(tmp_path, capsys):

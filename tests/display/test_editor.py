@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from core.vocabulary import Hand, Light
+from core.vocabulary import BodyState, Hand, Light
 from display import user_commands as cmd
 from display.edit import selection_marker as marking
 from display.edit.body_registry import FULL_NOTICE as FULL
-from display.edit.editor import Editor, Step, UndoStack
+from display.edit.editor import COPY_GAP, Editor, Step, UndoStack, copy_offset
 from display.edit.selection_marker import marked, strokes
 from display.xr import avatar
 from scenes.dining_table import RING_MATERIAL as RUBBER
@@ -492,3 +492,25 @@ def test_commands_choose_for_a_moment(monkeypatch):
     assert editor.recently_selected
     now[0] += marking.MARKED_SECONDS + 0.1
     assert not editor.recently_selected
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_a_copy_is_put_in_the_nearest_free_place_above_or_beside_an_animated_body(driven):
+    def state(x, y, z, **more) -> BodyState:
+        low = np.array([x, y, z], float)
+        return BodyState("box", low + 0.05, np.zeros(3), low, low + 0.1, np.array([0.0, 1, 0]), False, **more)
+
+    def free(offset, bodies) -> bool:
+        low, high = bodies[0].low + offset, bodies[0].high + offset
+        return not any((low < b.high).all() and (high > b.low).all() for b in bodies)
+
+    ways = np.array([[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]] if driven else [[0, 1, 0]])
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        others = 0.11 * rng.integers(-2, 3, (6, 3)) + rng.uniform(0, 0.01, (6, 3))
+        bodies = [state(0, 0, 0, driven=driven), *(state(*at) for at in others)]
+        offset = copy_offset(0, bodies)
+        steps = np.abs(offset).max() / (0.1 + COPY_GAP)
+        assert free(offset, bodies) and steps == pytest.approx(round(steps))
+        nearer = [s * (0.1 + COPY_GAP) * way for s in range(1, round(steps)) for way in ways]
+        assert not any(free(at, bodies) for at in nearer), "there was a nearer place"

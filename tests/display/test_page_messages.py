@@ -2,13 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 
+from core.camera import look_at, perspective, project
 from core.errors import BadInput
 from display import user_commands
 from display.panel import Panel, commands_of
 from display.web.browser import pressed_key
-from display.web.page_messages import read_message, world_state
+from display.web.page_messages import overlay, read_message, world_state
 from tests.support.fake_world import BallWorld, fake_scene
 
 
@@ -83,6 +85,23 @@ def test_a_page_is_told_all_sections_as_plain_data():
     assert state["section Body"]["label"] == "ball" and not state["section Body"]["folded"]
     kinds = {row["kind"] for title in state["sections"] for row in state[f"section {title}"]["rows"]}
     assert kinds == {"ButtonGrid", "Choice", "Slider", "Toggle", "Table"}
+
+
+def test_strokes_lie_where_the_camera_sees_things_in_fractions_of_a_picture_that_is_not_square():
+    camera = perspective(400, 100, 0.9, look_at((0.2, 0.7, 1.0), (0.0, 0.1, 0.0)))
+    world = BallWorld(fake_scene())
+    for at in np.random.default_rng(0).uniform(-0.2, 0.2, (9, 3)):
+        (u, v) = overlay(world, camera, at, None, near=False)[0]
+        x, y = project(camera, at)
+        assert (u, v) == pytest.approx((x / 400, y / 100), abs=1e-4)
+    assert overlay(world, camera, np.array(camera.position + [0.0, 0.0, 1.0]), None, near=False) == []  # behind it
+    under = world.bodies()[0]
+    for u0, v0, u1, v1, opacity in overlay(world, camera, None, under, near=False):
+        assert 0 < opacity <= 1
+        for u, v in ((u0, v0), (u1, v1)):  # the ray through it meets the body's box, a little widened
+            origin, way = camera.ray(400 * u, 100 * v)
+            near = origin + way * ((under.centroid - origin) @ way)
+            assert np.linalg.norm(near - under.centroid) < np.linalg.norm(under.high - under.low)
 
 
 @pytest.mark.parametrize(

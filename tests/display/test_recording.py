@@ -198,6 +198,7 @@ def test_a_replay_does_the_same_and_says_so(tmp_path):
         assert abs(len(presented) - wanted) <= 3, "not at its pace"
         drawn = [cameras for _, cameras in again.frames if cameras]
         assert all((c.width, c.height) == (100, 50) for cameras in drawn for c in cameras)
+        assert abs(len(drawn) - min(200, wanted)) <= 3, "a picture of each frame for which there is time"
     replay = Replay.load(tmp_path / "play.h5")
     other = Ball()
     other.at = np.array([1.0, 0.0, 0.0])

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace as N
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
-from prepare.segment.object_ids import check_learned, learned_objects, masks_of, part_file, split, voted
+from prepare.segment.object_ids import check_learned, learned_objects, masks_of, object_ious, part_file, split, voted
 from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import read_capture
 from tests.support import painted_capture
@@ -50,6 +51,18 @@ def test_islands_drown_and_what_was_seen_well_stays():
     few = g.select(np.array([0, 1, 500, 501, 502]))  # all that there is of them
     assert_array_equal(voted(few, truth[[0, 1, 500, 501, 502]], np.array([1.0, 1, 9, 9, 9]), 2), [1, 1, 2, 2, 2])
     assert_array_equal(voted(g.select(np.array([0, 1, 500])), np.array([1, 1, 2]), np.zeros(3), 2), [1, 1, 1])
+
+
+def test_the_overlap_of_objects_is_intersection_over_union_of_the_pixels_that_count():
+    rng = np.random.default_rng(0)
+    truth, seen, counts = rng.integers(0, 4, (2, 9, 7)), rng.integers(0, 4, (2, 9, 7)), rng.random((2, 9, 7)) < 0.8
+    truth[truth == 3] = 0  # no mask has the third object
+    pictures = [N(camera=k, objects=truth[k], mask=counts[k]) for k in range(2)] + [N(camera=2, objects=None)]
+    trainer = N(objects=["a", "b", "c"], seen_objects=lambda camera, ids: seen[camera])
+    both, either = (
+        [(f(truth == k, seen == k) & counts).sum() for k in (1, 2)] for f in (np.logical_and, np.logical_or)
+    )
+    assert object_ious(trainer, pictures, None) == pytest.approx({"a": both[0] / either[0], "b": both[1] / either[1]})
 
 
 def test_a_trained_splat_learns_its_objects_from_masks(ti_cpu):

@@ -13,7 +13,14 @@ from core.errors import BadInput
 from core.rotation import quaternions_from_matrices
 from core.runtime import start_taichi
 from core.spherical_harmonics import C0
-from prepare.segment.graph_cut import clearest_level, graph_of, most_alike, neighbour_edges, random_walk
+from prepare.segment.graph_cut import (
+    clearest_level,
+    graph_of,
+    mahalanobis,
+    most_alike,
+    neighbour_edges,
+    random_walk,
+)
 from prepare.segment.marks import Marks, SplatMarks, ViewMarks, read_splat_marks, write_splat_marks
 from prepare.segment.splat_segmentation import (
     full_matrices,
@@ -399,3 +406,13 @@ def test_bad_marks_are_refused_in_a_line(change, what, tmp_path):
     with pytest.raises(BadInput, match=what) as error:
         read_splat_marks(path)
     assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_distances_between_gaussians_are_those_of_their_covariances():
+    rng = np.random.default_rng(0)
+    root, d, added = rng.normal(size=(50, 3, 3)), rng.normal(size=(50, 3)), rng.uniform(0.01, 1.0, 50)
+    S = root @ root.swapaxes(1, 2)
+    whole = S + added[:, None, None] * np.eye(3)
+    expected = np.einsum("ei,eij,ej->e", d, np.linalg.inv(whole), d)
+    found = mahalanobis(d, S[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]], added)
+    assert np.allclose(found, expected, rtol=1e-9)

@@ -6,9 +6,10 @@ from numpy.testing import assert_allclose
 
 from bench.physics import box
 from core.material import Material
+from core.rotation import matrices_from_quaternions
 from core.vocabulary import Hand
 from sim.bodies import SoftBody
-from sim.hands.grasp import MAX_HAND_FORCE
+from sim.hands.grasp import MAX_HAND_FORCE, Grasp, GraspState
 from tests.support.soft_world import soft_solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)
@@ -46,6 +47,18 @@ def play(solver, seconds, *paths, grip=True, reach=0.04, turn=None):
 
 def still(*position):
     return lambda t: np.array(position, float)
+
+
+def test_a_grasp_of_a_body_that_was_moved_is_of_its_new_places():
+    """Whatever the attitude of the hand: where it wants the vertices moves as they do; another body's grasp stays."""
+    rng = np.random.default_rng(0)
+    hand = Hand((0.1, 0.2, 0.3), tuple(rng.normal(size=4)), True)
+    R = matrices_from_quaternions(hand.rotation)
+    grasp = Grasp(1, np.array([4, 0, 2]), rng.normal(size=(3, 3)))
+    state, shift = GraspState((grasp, None), (hand, None), ((), ())), rng.normal(size=(6, 3))
+    (moved, _), (same, _) = state.shifted(1, shift).grasps, state.shifted(0, shift).grasps
+    assert_allclose(moved.positions @ R.T, grasp.positions @ R.T + shift[grasp.vertices], atol=1e-12)
+    assert same is grasp
 
 
 def test_a_hand_grips_the_nearest_body_within_reach(solver):

@@ -165,6 +165,26 @@ def test_damping_stops_the_shaking_and_keeps_the_rigid_motion(solver):
     assert np.sqrt(m @ ((v - rigid) ** 2).sum(1) / m.sum()) < 0.005
 
 
+def test_what_is_not_rigid_in_a_motion_dies_out_at_the_rate_of_the_material(two):
+    """v - rigid falls as exp(-c t), where there is hardly any stiffness to turn it round; the rigid motion stays."""
+    rate, m, n = 6.0, PLATE.masses(), len(X)
+    two.gravity = (0.0, 0.0, 0.0)
+    two.set_material(0, replace(RUBBER, young=1.0, damping=rate))
+    two.reset()
+    start, squeeze = two.snapshot(), (X - m @ X / m.sum()) * [0.4, -0.3, 0.2]
+    rigid = np.array([0.1, 0.0, -0.2])
+    v = start["v"].astype(np.float64)
+    v[:n] = squeeze + rigid
+    two.restore({"x": start["x"], "v": v})
+    for _ in range(6):
+        two.step(1 / 60)
+    after = two.snapshot()["v"][:n]
+    two.set_material(0, RUBBER)
+    assert_allclose(m @ after / m.sum(), rigid, atol=1e-4)
+    left = ((after - rigid) * squeeze).sum() / (squeeze**2).sum()
+    assert left == pytest.approx(np.exp(-rate * 0.1), rel=0.05)
+
+
 def test_the_energy_of_an_undamped_body_stays_bounded_where_its_sweeps_do_not_converge():
     """A stiff bar in VBD, dt sqrt(max kappa) = 6: if the stress lagged there, too, its energy would grow fourfold."""
     x, tets, surface = box((0.3, 0.1, 0.1), (6, 2, 2))

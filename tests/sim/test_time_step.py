@@ -8,7 +8,14 @@ from core.errors import BadInput
 from core.material import Material
 from sim.bodies import SoftBody
 from sim.model import BodyModel
-from sim.time_step import Schedule, choose_integration, clamp_stiffness, largest_substep, wave_speed
+from sim.time_step import (
+    Schedule,
+    choose_integration,
+    clamp_stiffness,
+    largest_substep,
+    stiffness_bounds,
+    wave_speed,
+)
 
 FRAME = 1 / 60
 
@@ -35,6 +42,24 @@ def test_the_cheaper_integrator_is_chosen_or_what_is_forced():
             choose_integration(few, frame_dt=FRAME, stiffest="brick", **wrong)
     with pytest.raises(BadInput, match="brick: too stiff"):
         choose_integration(1e6 * many, frame_dt=FRAME, integrator="xpbd", stiffest="brick")
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49])
+def test_kappa_bounds_the_frequency_of_a_tet_and_is_met_where_one_corner_is_light(poisson):
+    """K_ab = V (mu (g_a . g_b I + g_b g_a^T) + lambda_L g_a g_b^T), the stiffness of linear elasticity at rest."""
+    material, rng = Material(2e5, poisson, 900.0), np.random.default_rng(0)
+    mu, lame_lambda = material.lame_parameters
+    for k in range(40):
+        inverse, volume, w = np.linalg.inv(rng.normal(size=(3, 3))), rng.uniform(0.1, 2.0), rng.uniform(0.5, 2.0, 4)
+        w[k % 4] *= 1e6 if k < 20 else 1.0
+        g = np.concatenate([-inverse.sum(0, keepdims=True), inverse])
+        K = mu * (np.einsum("ac,bc,ij->aibj", g, g, np.eye(3)) + np.einsum("bi,aj->aibj", g, g))
+        K = volume * (K + lame_lambda * np.einsum("ai,bj->aibj", g, g)).reshape(12, 12)
+        root = np.sqrt(np.repeat(w, 3))
+        largest = np.linalg.eigvalsh(root[:, None] * K * root)[-1]
+        kappa = stiffness_bounds(inverse[None], np.array([volume]), w[None], material)[0]
+        assert largest <= kappa * (1 + 1e-9)
+        assert k >= 20 or largest > 0.99 * kappa
 
 
 @pytest.mark.parametrize("substeps, searches, limit", [(400, 3, 16), (7.2, 1, 16), (1, 10, 128), (100, 7, 128)])

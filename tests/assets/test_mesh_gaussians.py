@@ -13,6 +13,7 @@ from assets.formats.ply import write_ply
 from assets.library import SHIPPED_FOLDER
 from assets.splat_files import is_mesh, kind_of, read_gaussians
 from core.errors import BadInput
+from core.mesh_sampling import Mesh, clip_to_edges, edges_of, points_along
 from core.spherical_harmonics import C0
 from tests.support.samples import some_gaussians
 
@@ -113,3 +114,20 @@ def test_a_sliver_is_covered_by_about_as_many_gaussians_as_any_mesh(far, tmp_pat
     """Of a triangle that is all edge, edges would take as many as its length holds of its narrowest spacing."""
     (tmp_path / "sliver.obj").write_text(f"v 0 0 0\nv {far} 0 0\nv 0 1 0\nf 1 2 3\n")
     assert 20_000 < len(read_gaussians(tmp_path / "sliver.obj")) < 2 * covering.ROWS_MAX
+
+
+def test_no_gaussian_reaches_farther_over_an_edge_than_six_tenths_of_its_distance():
+    """Towards both sides of a corner; along an edge, and off the face, it stays as wide as it was."""
+    square = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    edges, rng = edges_of(square), np.random.default_rng(0)
+    along = points_along(edges, np.full(len(edges.a), 0.02))
+    points = rng.uniform(0.02, 0.1, (60, 1)) * np.column_stack([np.ones(60), rng.uniform(0.8, 1.25, 60), np.zeros(60)])
+    root = rng.normal(0, 0.1, (60, 3, 3))
+    wide = root @ root.swapaxes(1, 2) + 0.04 * np.eye(3)
+    normals = np.tile([0.0, 0.0, 1.0], (60, 1))
+    clipped = clip_to_edges(along, points, normals, wide)
+    sigma = np.sqrt(np.einsum("nii->ni", clipped))
+    assert (sigma[:, :2] <= 0.6001 * points[:, :2]).all() and (np.linalg.eigvalsh(clipped) > -1e-9).all()
+    lone = np.array([[0.5, 0.05, 0.0]])  # beside the middle of one edge
+    (alone,) = clip_to_edges(along, lone, normals[:1], np.diag([0.01, 0.01, 0.01])[None])
+    np.testing.assert_allclose(alone, np.diag([0.01, 0.03**2, 0.01]), atol=1e-9)

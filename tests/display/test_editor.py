@@ -11,7 +11,7 @@ from core.vocabulary import BodyState, Hand, Light
 from display import user_commands as cmd
 from display.edit import selection_marker as marking
 from display.edit.body_registry import FULL_NOTICE as FULL
-from display.edit.editor import COPY_GAP, Editor, Step, UndoStack, copy_offset
+from display.edit.editor import COPY_GAP, Editor, Step, UndoStack, body_with, copy_offset
 from display.edit.selection_marker import marked, strokes
 from display.xr import avatar
 from scenes.dining_table import RING_MATERIAL as RUBBER
@@ -514,3 +514,16 @@ def test_a_copy_is_put_in_the_nearest_free_place_above_or_beside_an_animated_bod
         assert free(offset, bodies) and steps == pytest.approx(round(steps))
         nearer = [s * (0.1 + COPY_GAP) * way for s in range(1, round(steps)) for way in ways]
         assert not any(free(at, bodies) for at in nearer), "there was a nearer place"
+
+
+def test_of_bodies_within_one_another_the_smallest_that_holds_all_points_is_meant():
+    def state(size) -> BodyState:
+        half = np.full(3, size / 2)
+        return BodyState("box", np.zeros(3), np.zeros(3), -half, half, np.array([0.0, 1, 0]), False)
+
+    for order in ((0.3, 0.1, 0.2), (0.1, 0.2, 0.3), (0.3, 0.2, 0.1)):
+        bodies, rng = [state(size) for size in order], np.random.default_rng(0)
+        for size in order:
+            points = [0.45 * size * np.sign(rng.normal(size=3)), np.zeros(3)]
+            assert order[body_with(points, bodies)] == size
+        assert body_with([np.zeros(3), np.full(3, 0.3)], bodies) is None

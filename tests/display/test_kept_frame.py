@@ -33,13 +33,13 @@ OVER = (float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0)  # on its back
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory, ti_cpu):
-    """A world of a brick of the user's own that the scene puts down askew, and a shipped one; and the user's file."""
+    """A world of a brick of the user's own that the scene puts down askew and larger, a shipped one, and the file."""
     from display.world import World
 
     path = tmp_path_factory.mktemp("own") / "brick.h5"
     path.write_bytes((SHIPPED_FOLDER / "brick_letters.h5").read_bytes())
     askew = (0.8, 0.0, 0.6, 0.0)
-    bodies = [Body(str(path), RUBBER, (0.0, 0.3, 0.0), askew), Body("brick_red", RUBBER, (0.3, 0.3, 0.0))]
+    bodies = [Body(str(path), RUBBER, (0.0, 0.3, 0.0), askew, scale=1.2), Body("brick_red", RUBBER, (0.3, 0.3, 0.0))]
     scene = Scene(bodies, Light((0.3, 2.0, 0.3)), (0, 0.5, 0.9), (0, 0.1, 0), [Plane((0, 0, 0), (0, 1, 0))])
     return World(scene, width=SIZE[0], height=SIZE[1]), path
 

@@ -1,6 +1,7 @@
 """Messages of a page are untrusted: what is not as it must be is refused, all of it."""
 
 import json
+from types import SimpleNamespace as N
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from core.camera import look_at, perspective, project
 from core.errors import BadInput
 from display import user_commands
 from display.panel import Panel, commands_of
-from display.web.browser import pressed_key
+from display.web.browser import Browser, pressed_key
 from display.web.page_messages import overlay, read_message, world_state
 from tests.support.fake_world import BallWorld, fake_scene
 
@@ -119,3 +120,14 @@ def test_strokes_lie_where_the_camera_sees_things_in_fractions_of_a_picture_that
 )
 def test_keys_have_the_names_that_they_have_in_the_window(code, key, down, ctrl, name):
     assert pressed_key(code, key, down=down, ctrl=ctrl) == name
+
+
+@pytest.mark.parametrize("page", [(640, 360), (1920, 1080), (5120, 1440), (900, 4000), (16384, 9216)])
+@pytest.mark.parametrize("largest", [None, (800, 800)])
+def test_a_picture_has_the_shape_of_its_page_and_no_more_pixels_than_are_sent(page, largest):
+    """As many as fit: 1920 x 1080, and no side larger than was asked for."""
+    width, height = Browser._full.fget(N(_server=N(player=N(size=page)), _largest=largest))
+    most = 1920 * 1080 if largest is None else 800 * 800
+    assert width * height <= most and width / height == pytest.approx(page[0] / page[1], rel=0.01)
+    fits = min(1.0, (1920 * 1080 / (page[0] * page[1])) ** 0.5, *(np.divide(largest or page, page)))
+    assert (width, height) == pytest.approx(np.multiply(fits, page), abs=1.5)

@@ -187,7 +187,7 @@ def test_a_replay_does_the_same_and_says_so(tmp_path):
     frames = some_frames()
     world = Ball()
     record(tmp_path / "play.h5", frames, world)
-    camera = perspective(100, 50, 0.9, look_at((0, 1, 2), (0, 0, 0)))
+    camera = perspective(100, 50, 0.9, look_at((2, 1, 0), (0, 0, 0)))  # from elsewhere than it was recorded
     for rate, paced in ((90, False), (90, True), (30, True), (144, True)):
         replay = Replay.load(tmp_path / "play.h5")
         shown = [Frame(1 / rate, 0.0, [camera])] * 1000
@@ -198,6 +198,7 @@ def test_a_replay_does_the_same_and_says_so(tmp_path):
         assert abs(len(presented) - wanted) <= 3, "not at its pace"
         drawn = [cameras for _, cameras in again.frames if cameras]
         assert all((c.width, c.height) == (100, 50) for cameras in drawn for c in cameras)
+        assert all(np.array_equal(cameras[0].world_to_camera, CAMERA.world_to_camera) for cameras in drawn[2:])
         assert abs(len(drawn) - min(200, wanted)) <= 3, "a picture of each frame for which there is time"
     replay = Replay.load(tmp_path / "play.h5")
     other = Ball()

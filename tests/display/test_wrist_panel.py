@@ -6,6 +6,7 @@ from types import SimpleNamespace as N
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from core.vocabulary import Light
 from display import user_commands
@@ -257,3 +258,15 @@ def test_scenes_are_listed_on_pages_of_their_own():
     assert (
         wrist_panel.paint(wrist_panel.PanelContent(page=1)).shape == wrist_panel.paint(wrist_panel.PanelContent()).shape
     )
+
+
+def test_a_ray_reaches_as_far_as_it_is_long_from_before_the_panel_at_any_slant():
+    rng = np.random.default_rng(0)
+    panel = pose_matrix(rng.normal(size=3), Rotation.random(rng=rng).as_matrix())
+    for slant in np.radians([0, 40, 80]):
+        for length, hits in ((0.95 * wrist_panel.MAX_RAY, True), (1.05 * wrist_panel.MAX_RAY, False), (-0.1, False)):
+            turn = panel[:3, :3] @ Rotation.from_rotvec([0.3 * slant, slant, 0.0]).as_matrix()
+            u, v = rng.uniform(0.2, 0.8, 2) * wrist_panel.PIXELS
+            start = point_on_panel(panel, u, v, 0.0) + length * turn[:, 2]
+            found = wrist_panel.ray_hit(panel, pose_matrix(start, turn))
+            assert found == (pytest.approx((u, v), abs=0.01) if hits else None)

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from bench.physics import box
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from core.vocabulary import Hand
 from sim.bodies import SoftBody
-from sim.hands.grasp import MAX_HAND_FORCE, Grasp, GraspState
+from sim.hands.grasp import MAX_HAND_FORCE, Grasp, GraspState, extended, hand_motion, throw_velocities
 from tests.support.soft_world import soft_solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)
@@ -59,6 +60,21 @@ def test_a_grasp_of_a_body_that_was_moved_is_of_its_new_places():
     (moved, _), (same, _) = state.shifted(1, shift).grasps, state.shifted(0, shift).grasps
     assert_allclose(moved.positions @ R.T, grasp.positions @ R.T + shift[grasp.vertices], atol=1e-12)
     assert same is grasp
+
+
+def test_a_hand_that_turns_evenly_throws_with_that_turn_whatever_its_attitude():
+    """Velocity and angular velocity of the world, and of a body that it holds at arm's length those of each vertex."""
+    rng, dt, omega, speed = np.random.default_rng(0), 0.01, np.array([1.0, -2.0, 3.0]), np.array([0.3, 0.1, -0.2])
+    start, history = Rotation.from_quat(rng.normal(size=4)), ()
+    for k in range(6):
+        turn = Rotation.from_rotvec(k * dt * omega) * start
+        history = extended(history, dt, Hand(tuple(k * dt * speed), tuple(turn.as_quat(scalar_first=True)), True))
+    at, velocity, spin = hand_motion(history)
+    assert_allclose(np.concatenate([at, velocity, spin]), [*(5 * dt * speed), *speed, *omega], atol=1e-9)
+    x = at + rng.uniform(-0.1, 0.1, (9, 3)) + [0.2, 0.0, 0.1]
+    mass = np.full(9, 1e-4)  # so light that the hand is strong enough
+    change = throw_velocities(history, x, np.zeros((9, 3)), mass)
+    assert_allclose(change, speed + np.cross(omega, x - at), atol=1e-4)
 
 
 def test_a_hand_grips_the_nearest_body_within_reach(solver):

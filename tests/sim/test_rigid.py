@@ -31,7 +31,8 @@ def free(ti_cpu):
         "book", (0.3, 0.2, 0.1), density=1000.0, angular_velocity=(0.05, 5.0, 0.0), velocity=(0.1, 0, 0)
     )
     box = RigidBody.box("box", (0.1,) * 3, density=500.0, position=(3, 3, 3))
-    plate = RigidBody.box("plate", (0.4, 0.1, 0.2), density=500.0, position=(-2, 0, 0), kinematic=True)
+    corners = 0.2 * np.stack(np.meshgrid([-1.0, 1.5], [0.0, 1.0], [0.5, 1.0]), -1).reshape(-1, 3)
+    plate = RigidBody.convex("plate", corners, density=500.0, position=(-2, 0, 0), kinematic=True)  # off its frame
     return Solver([book, box, plate], contacts=False)
 
 
@@ -78,13 +79,16 @@ def test_vertices_go_where_their_velocities_say_and_keep_those_that_they_were_gi
     given = np.zeros_like(x)
     given[book] = np.cross([1.0, -2.0, 3.0], r) + [0.1, 0.0, -0.2]
     free.restore({"x": x, "v": given})
-    free.kinematic.drive(2, (-2 + 2e-4, 0, 1e-4), (np.cos(1e-3), 0, np.sin(1e-3), 0))  # 2 rad/s
+    driven = (np.cos(1e-3), 0, np.sin(1e-3), 0)
+    free.kinematic.drive(2, (-2 + 2e-4, 0, 1e-4), driven)  # 2 rad/s
     free.step(dt)
     after = free.snapshot()
     moved, v = after["x"].astype(np.float64) + after["x_lo"] - x, after["v"].astype(np.float64)
     assert_allclose(v[book], given[book], atol=0.01)  # 14 / s^2 by 0.2 m, for a millisecond
     assert_allclose(moved[book], 0.5 * dt * (v[book] + given[book]), atol=1e-7)
     assert np.linalg.norm(v[plate], axis=1).max() > 0.4
+    places = free.body_models[2].shape.vertices @ matrices_from_quaternions(driven).T + [-2 + 2e-4, 0, 1e-4]
+    assert_allclose((x + moved)[plate], places, atol=1e-6)
     assert_allclose(moved[plate], dt * v[plate], atol=2e-6)  # it turns by 2e-3, and v is that at the start
 
 

@@ -30,6 +30,23 @@ def reference_density(g: Gaussians, origin, spacing, shape) -> np.ndarray:
     return total
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sides", [(), (0,), (1,), (0, 1)])
+def test_a_box_is_filled_up_to_one_side_and_a_tube_is_not(axis, sides):
+    """Whichever side is open; where the direction up must hit as well, one that is open there is not filled either."""
+    shell = np.ones((12, 13, 14), bool)
+    shell[1:-1, 1:-1, 1:-1] = False
+    ends = np.moveaxis(shell, axis, 0)
+    for side in sides:
+        ends[-side, 1:-1, 1:-1] = False
+    inside = np.zeros_like(shell)
+    inside[1:-1, 1:-1, 1:-1] = len(sides) < 2
+    assert np.array_equal(interior(shell, up=None)[1:-1, 1:-1, 1:-1], inside[1:-1, 1:-1, 1:-1])
+    for sign in (1, -1):
+        closed = (1 if sign > 0 else 0) not in sides
+        assert interior(shell, up=(axis, sign))[1:-1, 1:-1, 1:-1].all() == (closed and len(sides) < 2)
+
+
 @pytest.mark.parametrize("low, high", [(0.0, 1.0), (-0.6, 1.6)])  # well inside, and across the grid's border
 def test_density_is_the_sum_of_the_gaussians(ti_cpu, low, high):
     g, origin, spacing, shape = random_gaussians(60, low, high), np.full(3, -0.2), 0.08, (18, 21, 17)

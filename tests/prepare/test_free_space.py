@@ -1,12 +1,14 @@
-"""Free space around the cameras of a training: how far it reaches, and that training clears it."""
+"""Free space: around the cameras of a training, how far it reaches and that it is cleared; and around a player."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 from core.camera import look_at, perspective
+from prepare.environment.support_planes import ARM_LENGTH, CELL, SupportPlane, standing_eye
 from prepare.train.densification import free_radii, in_free_space, near_depth
 from prepare.train.trainer import Trainer, TrainOptions
 from tests.support import painted_capture
@@ -81,3 +83,16 @@ def test_free_space_is_cleared_in_the_second_half_of_a_training(floaters, free_s
         trainer.step()
         assert left_at(trainer, places) == [left, left]
         trainer.restore(state)
+
+
+def test_a_player_stands_where_there_is_most_space_at_arms_length():
+    """Half of the floor is strewn with posts, 0.4 m apart, between which one could just stand."""
+    floor = SupportPlane("floor", 0.0, np.array([-2.0, -2.0]), np.ones((round(4 / CELL),) * 2, bool))
+    table = SupportPlane("table", 0.7, np.array([-0.1, -0.1]), np.ones((4, 4), bool))
+    open_air = SimpleNamespace(spacing=0.05, at=lambda points: np.zeros(len(points), bool))
+    for turn in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        posts = np.stack(np.meshgrid(np.arange(-2.0, 2.0, 0.4), [1.0], np.arange(-2.0, 2.0, 0.4)), -1).reshape(-1, 3)
+        posts = posts[posts[:, [0, 2]] @ turn < 0.0]
+        eye = standing_eye(floor, np.array([0.0, 0.7, 0.0]), table, posts, open_air)
+        assert eye[[0, 2]] @ turn > 0.2 and abs(np.hypot(eye[0], eye[2]) - ARM_LENGTH) < 0.1
+        assert np.linalg.norm((posts - eye)[:, [0, 2]], axis=1).min() > 0.4

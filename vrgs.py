@@ -43,9 +43,10 @@ def run(argv: list[str]) -> int:
     """Run one command. What it imports is imported here, where an interrupt is told in a line."""
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # before anything imports Taichi
     from core.errors import BadInput, Cancelled
-    from core.program import as_called
+    from core.program import as_called, find_home
 
     try:
+        find_home()
         try:
             from commands.parser import parse
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import stat
 import sys
+import tempfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
@@ -43,6 +45,32 @@ def cache_folder() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "vrgs"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vrgs"
+
+
+def find_home() -> None:
+    """Set HOME where a service or a container has none, before Taichi is imported: it would end the process with a core
+    dump. It is that of the user database, else the temporary folder. Raises BadInput."""
+    if sys.platform == "win32" or os.environ.get("HOME"):
+        return
+    os.environ.pop("HOME", None)  # an empty one
+    home = os.path.expanduser("~")  # as it is for a user whom nobody knows
+    os.environ["HOME"] = home if home.startswith("/") and os.path.isdir(home) else str(temporary_folder())
+
+
+def temporary_folder() -> Path:
+    """A folder of this user's own where no other can be had, the same each time. Raises BadInput.
+
+    Kernels may be kept there, which are run: one that somebody else could write to is not taken.
+    """
+    try:
+        folder = Path(tempfile.gettempdir()) / ("vrgs" if sys.platform == "win32" else f"vrgs-{os.getuid()}")
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        if sys.platform == "win32" or (found.st_uid == os.getuid() and stat.filemode(found.st_mode) == "drwx------"):
+            return folder
+        return Path(tempfile.mkdtemp(prefix="vrgs-"))
+    except OSError as e:
+        raise BadInput(f"no temporary folder can be written to ({e.strerror}); TMPDIR names one") from e
 
 
 def check_open3d(user: str, requirements: str = "requirements-tetgen.txt") -> None:

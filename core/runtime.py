@@ -30,6 +30,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from core.errors import BadInput
+from core.program import temporary_folder
 
 # Compiled kernels are kept between runs, in files of this many bytes in all. Taichi's default of 100 MB is less than a
 # few scenes and a preparation compile, and kernels that were pushed out are compiled again, for half a minute.
@@ -66,8 +67,13 @@ def start_taichi(arch: str | None = None, seed: int = 0) -> None:
 
     if impl.get_runtime().prog is not None:
         return
-    cache_folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or impl.default_cfg().offline_cache_file_path
-    mend_kernel_cache(Path(cache_folder))
+    kernels = Path(os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or impl.default_cfg().offline_cache_file_path)
+    try:
+        kernels.mkdir(parents=True, exist_ok=True)
+    except OSError:  # Taichi would try it as the process ends, and crash
+        kernels = temporary_folder() / "kernels"
+        os.environ["TI_OFFLINE_CACHE_FILE_PATH"] = str(kernels)
+    mend_kernel_cache(kernels)
     ti.set_logging_level(ti.ERROR)  # a machine without CUDA is nothing to warn of
     cuda = arch != "cpu" and is_arch_supported(ti.cuda)
     if arch == "cuda" and not cuda:

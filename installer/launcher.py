@@ -17,7 +17,8 @@ from pathlib import Path
 
 import zstandard
 
-from core.program import cache_folder
+from core.errors import BadInput
+from core.program import cache_folder, find_home
 
 TRAILER = struct.Struct("<Q16s")
 PROGRAM = "vrgs.exe" if sys.platform == "win32" else "vrgs"
@@ -76,8 +77,9 @@ def start(program: Path) -> int:
 def main() -> int:
     """Unpack the program if need be, and start it; returns the exit status."""
     try:
+        find_home()
         return start(unpacked() / PROGRAM)
-    except OSError as e:
+    except (BadInput, OSError) as e:
         print(f"vrgs: cannot unpack itself ({e}); VRGS_CACHE names another folder for that", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

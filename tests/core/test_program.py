@@ -12,7 +12,8 @@ import pytest
 
 import core.program as program
 import vrgs
-from core.program import VERSION, as_called, batches, in_threads
+from core.errors import BadInput
+from core.program import VERSION, as_called, batches, find_home, in_threads, temporary_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -74,6 +75,31 @@ def test_an_interrupt_while_it_imports_is_told_in_a_line():
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert (run.returncode, run.stdout, run.stderr) == (128 + signal.SIGINT, "", "vrgs: interrupted\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows knows no HOME")
+def test_without_a_home_taichi_starts():
+    """It would end with a core dump at its import."""
+    code = "import vrgs; vrgs.run(['scenes']); import taichi"
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env={}, capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows knows no HOME")
+@pytest.mark.parametrize("known", ["~", "/nonexistent"])
+def test_a_user_without_a_home_gets_a_temporary_one_that_nobody_else_writes_to(tmp_path, monkeypatch, known):
+    monkeypatch.setattr(program.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(program.os.path, "expanduser", lambda name: known)
+    monkeypatch.setenv("HOME", "")
+    find_home()
+    home = Path(os.environ["HOME"])
+    assert home.parent == tmp_path and home.stat().st_mode & 0o777 == 0o700
+    assert temporary_folder() == home  # the same each time
+    home.chmod(0o777)
+    assert temporary_folder() != home
+    monkeypatch.setattr(program.tempfile, "tempdir", str(tmp_path / "none"))
+    with pytest.raises(BadInput, match="TMPDIR"):
+        temporary_folder()
 
 
 def test_results_come_in_the_items_order():

@@ -135,6 +135,17 @@ for k in range(int(sys.argv[1]), int(sys.argv[2])):
 """
 
 
+@pytest.mark.parametrize("named", ["TI_OFFLINE_CACHE_FILE_PATH", "HOME"])
+def test_a_cache_that_cannot_be_made_does_not_crash_the_end(tmp_path, named):
+    (tmp_path / "file").touch()
+    (tmp_path / "kernels.py").write_text(PROGRAM)
+    where = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path), named: str(tmp_path / "file" / "below")}
+    command = [sys.executable, tmp_path / "kernels.py", "0", "1"]
+    run = subprocess.run(command, env=where, capture_output=True, text=True)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "0\n", "")
+    assert list(tmp_path.glob("vrgs*/kernels/*.tic"))  # kept for the next time
+
+
 def program(folder: Path, first: int, last: int) -> subprocess.Popen:
     """A program that compiles kernels, or takes them from the cache, and runs them."""
     source = folder.with_suffix(".py")  # Taichi reads the text of kernels

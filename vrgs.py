@@ -6,6 +6,7 @@ from __future__ import annotations
 import _thread
 import errno
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -22,6 +23,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
     report = sys.unraisablehook
     sys.unraisablehook = partial(repeat_interrupt, report)
+    main_thread = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, interrupt) if main_thread else None
     try:
         return run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
@@ -29,6 +32,14 @@ def main(argv: list[str] | None = None) -> int:
         return 130
     finally:
         sys.unraisablehook = report
+        if main_thread:
+            signal.signal(signal.SIGTERM, before)
+
+
+def interrupt(number: int, frame) -> None:
+    """End as by Ctrl-C, so that all files are finished."""
+    handler = signal.getsignal(signal.SIGINT)
+    (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)
 
 
 def repeat_interrupt(report: Callable, unraisable) -> None:
@@ -83,19 +94,23 @@ def play(options: PlayOptions) -> None:
 
     with open_session(options) as session:
         display, film, recording = session.display, session.film, session.recording
-        for frame in session.frames():  # time, cameras, hands, commands
-            world = session.world  # the user may open another scene
-            world.step(frame)  # simulate, deform, shade, draw
-            display.present(world)
-            if film:
-                film.add(world, frame.time)
-            if recording:
-                recording.after(world)
-            if session.study:
-                session.study.after(frame, world)
-            session.keeper.after(frame, world)
-            if session.sound:
-                session.sound.after(frame, world)
+        try:
+            for frame in session.frames():  # time, cameras, hands, commands
+                world = session.world  # the user may open another scene
+                world.step(frame)  # simulate, deform, shade, draw
+                display.present(world)
+                if film:
+                    film.add(world, frame.time)
+                if recording:
+                    recording.after(world)
+                if session.study:
+                    session.study.after(frame, world)
+                session.keeper.after(frame, world)
+                if session.sound:
+                    session.sound.after(frame, world)
+        except KeyboardInterrupt:  # in a headset, the only way to end
+            session.report()
+            raise
         session.report()
 
 

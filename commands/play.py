@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, unused_name
 from commands.play_options import PlayOptions
 from commands.prepared import prepared_bodies, prepared_capture, prepared_stage
 from core.errors import BadInput
@@ -231,8 +231,8 @@ def open_display(
             hint = replay is None
             return Window(scene, title=title, size=options.size, preferences=preferences, name=name, hint=hint)
         options.headless = True
-        options.record = options.record or Path(f"{name}.mp4")
-        options.snapshot = options.snapshot or Path(f"{name}.png")
+        options.record = options.record or unused_name(Path(f"{name}.mp4"))
+        options.snapshot = options.snapshot or unused_name(Path(f"{name}.png"))
         files = f"{options.record} and {options.snapshot}"
         print(f"no display: the scripted hand plays; writing {files} (--web: play in a browser)", file=sys.stderr)
         check_writable(options.snapshot)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import sys
@@ -23,7 +24,8 @@ from scenes.scene import Scene
 
 FRAME_DT = 1 / 60  # [s]
 EYE_DISTANCE = 0.063  # [m] between the two eyes of a stereo pair, the adult mean
-CODECS = ("avc1", "mp4v")  # H.264 where OpenCV was built with an encoder for it, else MPEG-4 part 2
+# H.264, which browsers play, else MPEG-4 part 2; a quality at which no block is seen, in a fraction of a frame's time
+CODECS = {"libx264": {"preset": "veryfast", "crf": "20"}, "mpeg4": {"qscale": "4"}}
 FILM_FPS = 30.0  # [1/s]
 TIME_SLACK = 0.01  # of a picture: rounding of a time adds none
 BYTES_PER_PIXEL = 0.05  # of a busy picture; measured 0.02 on noise and waves that move
@@ -103,51 +105,45 @@ class Video:
         remove_stale_parts(self.path)
         self._part = part_beside(self.path, ".mp4")
         check_writable(self.path, self._part, bytes_needed=max(BYTES_PER_PIXEL * width * height * frames, SPACE_MIN))
-        self._codec, self._writer = self._first_codec(), None
+        self._container = self._stream = None
 
-    def _open(self, codec: str):
-        import cv2
+    def _open(self) -> None:
+        import av
 
-        return cv2.VideoWriter(str(self._part), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*codec), self.fps, self.size)
-
-    def _first_codec(self) -> str:
-        """The first codec that OpenCV can write here, found by trying: OpenCV has no list."""
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # silent: FFmpeg logs each encoder that is not there
-        import cv2
-
-        level = cv2.utils.logging.getLogLevel()
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it reports each codec that it lacks
-        try:
-            for codec in CODECS:
-                writer = self._open(codec)
-                works = writer.isOpened()
-                writer.release()
-                self._part.unlink(missing_ok=True)
-                if works:
-                    return codec
-        finally:
-            cv2.utils.logging.setLogLevel(level)
-        raise BadInput(f"{self.path}: OpenCV can write no MP4 of {self.size[0]}x{self.size[1]} pixels here")
+        codec = next(name for name in CODECS if name in av.codec.codecs_available)
+        self._container = av.open(str(self._part), "w", options={"movflags": "faststart"})
+        self._stream = self._container.add_stream(codec, rate=round(self.fps), options=CODECS[codec])
+        self._stream.width, self._stream.height = self.size
+        self._stream.pix_fmt = "yuv420p"  # what browsers play
 
     def write(self, pixels: np.ndarray) -> None:
         """Append RGBA or RGB pixels (H, W, 3|4) uint8; an odd row or column is repeated to make it even."""
-        import cv2
+        import av
 
-        if self._writer is None:
-            self._writer = self._open(self._codec)
-        height, width, channels = pixels.shape
-        bgr = cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR if channels == 4 else cv2.COLOR_RGB2BGR)
-        if (width, height) != self.size:
-            bgr = np.pad(bgr, ((0, self.size[1] - height), (0, self.size[0] - width), (0, 0)), mode="edge")
-        self._writer.write(bgr)
+        if self._container is None:
+            self._open()
+        height, width, _ = pixels.shape
+        rgb = np.pad(pixels[..., :3], ((0, self.size[1] - height), (0, self.size[0] - width), (0, 0)), mode="edge")
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
+        self._encode(frame)
         self.count += 1
+
+    def _encode(self, frame) -> None:
+        """Encode a picture; None: those that the encoder still holds. Raises BadInput."""
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except OSError as e:  # PyAV's errors are the system's
+            raise BadInput(f"{self.path}: cannot be written ({e.strerror})") from e
 
     def close(self, *, keep: bool = True) -> None:
         """Finish the file, check that it reads back, and give it its name; or leave none. Raises BadInput."""
-        if self._writer is None:
+        if self._container is None:
             return
-        self._writer.release()
-        self._writer = None
+        with contextlib.suppress(BadInput):  # what could not be written is missing below
+            self._encode(None)
+        with contextlib.suppress(OSError):
+            self._container.close()
+        self._container = None
         readable = frame_count(self._part) if keep else 0
         if keep and readable == self.count:
             os.replace(self._part, self.path)
@@ -161,11 +157,11 @@ class FilmWriter:
     """Film of a display of any frame rate and size: an MP4 at FILM_FPS, complete after `close`. Raises BadInput.
 
     width, height  of a view [px];   views  that stand side by side
-    seconds        planned length [s]: such a film is dropped if the play breaks off; 0: as long as the play
+    seconds        planned length [s]; 0: as long as the play. One that breaks off keeps what it has
     """
 
     def __init__(self, path: str | Path, width: int, height: int, *, views: int = 1, seconds: float = 0.0):
-        self.path, self.size, self._views, self._seconds = Path(path), (views * width, height), views, seconds
+        self.path, self.size, self._views = Path(path), (views * width, height), views
         self.ended = ""  # the reason, if it has ended before it was closed
         self._video = Video(path, *self.size, fps=FILM_FPS, frames=math.ceil(seconds * FILM_FPS))
         self._checked = 0.0  # [s], time of the last look at the disk
@@ -203,8 +199,8 @@ class FilmWriter:
     def __enter__(self) -> FilmWriter:
         return self
 
-    def __exit__(self, error: type | None, *_) -> None:
-        self._video.close(keep=error is None or not self._seconds)
+    def __exit__(self, *_) -> None:
+        self._video.close()
 
 
 def frame_count(path: Path) -> int:

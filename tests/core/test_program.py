@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ import core.program as program
 import vrgs
 from core.errors import BadInput
 from core.program import VERSION, as_called, batches, find_home, in_threads, temporary_folder
+from tests.support.fake_world import fake_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -63,13 +66,14 @@ def test_a_python_without_the_packages_is_told_in_a_line():
     assert "has no package" in run.stderr and ".venv/bin/python" in run.stderr
 
 
-def test_an_interrupt_while_it_imports_is_told_in_a_line():
+@pytest.mark.parametrize("kind", ["SIGINT", "SIGTERM"])
+def test_an_interrupt_while_it_imports_is_told_in_a_line(kind):
     """Every import is preceded by an interrupt; the first is met where the program imports its own modules."""
     code = (
         "import os, signal, sys, vrgs\n"
         "class Interrupt:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        "        signal.raise_signal(signal.SIGINT)\n"
+        f"        signal.raise_signal(signal.{kind})\n"
         "sys.meta_path.insert(0, Interrupt())\n"
         "sys.exit(vrgs.main(['scenes']))\n"
     )
@@ -100,6 +104,27 @@ def test_a_user_without_a_home_gets_a_temporary_one_that_nobody_else_writes_to(t
     monkeypatch.setattr(program.tempfile, "tempdir", str(tmp_path / "none"))
     with pytest.raises(BadInput, match="TMPDIR"):
         temporary_folder()
+
+
+def test_a_play_that_is_interrupted_still_writes_its_results(monkeypatch, capsys):
+    """In a headset, Ctrl-C is the only way to end."""
+    done = []
+    session = SimpleNamespace(display=0, film=0, recording=0, frames=lambda: signal.raise_signal(signal.SIGINT))
+    session.report = lambda: done.append("report")
+    monkeypatch.setattr("commands.play.open_session", lambda options: nullcontext(session))
+    assert vrgs.main(["--xr"]) == 130 and done == ["report"]
+
+
+def test_a_play_without_a_display_overwrites_nothing(tmp_path, monkeypatch):
+    from commands import play
+    from commands.play_options import PlayOptions
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ring_toss.mp4").touch()
+    monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
+    options = PlayOptions()
+    play.open_display(options, fake_scene())
+    assert (options.record, options.snapshot) == (Path("ring_toss_2.mp4"), Path("ring_toss.png"))
 
 
 def test_results_come_in_the_items_order():

@@ -91,8 +91,9 @@ def run(argv: list[str]) -> int:
 def play(options: PlayOptions) -> None:
     """Play a scene: in a window, in a headset, or headless with its scripted hand."""
     from commands.play import open_session
+    from scenes.registry import faults_told
 
-    with open_session(options) as session:
+    with faults_told(options.scene), open_session(options) as session:
         display, film, recording = session.display, session.film, session.recording
         try:
             for frame in session.frames():  # time, cameras, hands, commands

@@ -88,6 +88,13 @@ MAGICS = {
 }
 
 
+def check_kind(path: Path) -> None:
+    """Raise BadInput unless a file's name ends as one that is read."""
+    suffix = path.suffix.lower()
+    if suffix not in READERS and suffix not in MESHES:
+        raise BadInput(f"{path}: unknown kind of file {suffix!r}; read are {', '.join((*READERS, *MESHES))}")
+
+
 def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
     """Gaussians of a .ply (plain or compressed), .splat, .ksplat, .spz, .sog or of an asset (.h5), or on a mesh.
 
@@ -96,9 +103,8 @@ def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
     Raises BadInput.
     """
     path = Path(path)
+    check_kind(path)
     suffix = path.suffix.lower()
-    if suffix not in READERS and suffix not in MESHES:
-        raise BadInput(f"{path}: unknown kind of file {suffix!r}; read are {', '.join((*READERS, *MESHES))}")
     if is_mesh(path):
         from assets.mesh_gaussians import read_mesh_gaussians
 

@@ -179,7 +179,9 @@ def positive(kind: type) -> Callable[[str], float]:
             value = kind(text)
         except ValueError:
             value = 0
-        if not 0 < value < 1e9:
+        if value >= 1e9:
+            raise argparse.ArgumentTypeError(f"{text!r} is too large: below 1e9")
+        if not value > 0:
             raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
         return value
 

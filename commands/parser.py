@@ -95,28 +95,32 @@ def playing_options() -> type[Options]:
 def playing_parser(argv: Sequence[str] = ("--help",)) -> Parser:
     """The parser of what is played without a command, whose help lists the commands."""
     kind = playing_options()
-    parser = new_parser("vrgs.py", SUMMARY, "examples:", kind.EXAMPLES)
+    commands = "\n".join(f"  {name:10} {help}" for name, (_, help) in COMMANDS.items())
+    top = f"{SUMMARY}\n\ncommands (vrgs.py COMMAND --help):\n{commands}\n\n{examples_text('examples:', kind.EXAMPLES)}"
+    parser = new_parser("vrgs.py", top)
+    parser.usage = "vrgs.py [COMMAND] [options]"
     parser.add_argument("--version", action="version", version=f"vrgs {VERSION}")
     add_all_options(parser, kind, argv)
-    listed = parser.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
-    for name, (_, help) in COMMANDS.items():
-        listed.add_parser(name, help=help, add_help=False)
     return parser
 
 
 def command_parser(name: str, argv: Sequence[str] = ("--help",)) -> Parser:
     """The parser of a command."""
     kind = command(name)[1]
-    parser = new_parser(f"vrgs.py {name}", COMMANDS[name][1], "example:", kind.EXAMPLES)
+    parser = new_parser(f"vrgs.py {name}", COMMANDS[name][1], examples_text("example:", kind.EXAMPLES))
     add_all_options(parser, kind, argv)
     return parser
 
 
-def new_parser(program: str, summary: str, title: str, examples: Iterable[str]) -> Parser:
-    """A parser without options; `examples`: what follows `vrgs.py`."""
-    lines = "".join(f"\n  python vrgs.py {example}".rstrip() for example in examples)
+def examples_text(title: str, examples: Iterable[str]) -> str:
+    """Examples under a title, a line each; `examples`: what follows `vrgs.py`."""
+    return title + "".join(f"\n  python vrgs.py {example}".rstrip() for example in examples)
+
+
+def new_parser(program: str, top: str, end: str = "") -> Parser:
+    """A parser without options; `top` and `end` are the texts of the help before and after them."""
     formatter = argparse.RawDescriptionHelpFormatter
-    return Parser(prog=as_called(program), description=summary, epilog=title + lines, formatter_class=formatter)
+    return Parser(prog=as_called(program), description=top, epilog=end, formatter_class=formatter)
 
 
 def add_all_options(parser: Parser, kind: type[Options], argv: Sequence[str]) -> None:
@@ -221,11 +225,20 @@ def no_option(word: str, parser: Parser, command: str | None) -> str:
     return unknown + (f"; did you mean {near[0]}?" if near else f"; see {parser.prog} --help")
 
 
+def scene_names() -> list[str]:
+    """Names of the demos that can be played."""
+    from scenes.registry import names
+
+    return names()
+
+
 def no_command(word: str) -> str:
     """The message about a word that is no command, with the nearest one."""
     if Path(word).suffix:
         return f"{word} is no command; to see it: vrgs.py view {word}; to play: vrgs.py --scene sandbox --body {word}"
     if word == "build":
         return "build: the models of the shipped assets are built by python -m studio, from source"
+    if word in scene_names():
+        return f"{word} is a scene, no command: vrgs.py --scene {word}"
     near = difflib.get_close_matches(word, COMMANDS, 1)
     return f"unknown command {word}; " + (f"did you mean {near[0]}?" if near else "see vrgs.py --help")

@@ -11,6 +11,7 @@ from assets.hdf5 import open_hdf5
 from assets.library import cached_asset, is_asset
 from assets.orientation import question
 from assets.room_folder import is_room_folder, read_room
+from assets.splat_files import check_kind
 from core.errors import BadInput
 from core.program import cache_folder
 from core.runtime import running_arch, start_taichi
@@ -184,6 +185,7 @@ def _is_to_be_made(splats: Path, out: Path, arch: str | None, seed: int) -> bool
     Of one that is, a line says again that its up axis was not sure, unless it has been turned since.
     """
     if not out.is_file():
+        check_kind(splats)
         start_taichi(arch, seed)
         print(f"preparing {splats.name} (once; kept as {out})", flush=True)
         return True

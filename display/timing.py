@@ -16,7 +16,6 @@ from core.runtime import watch_compilation
 
 HISTORY_LENGTH = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
 RECENT_SAMPLES = 60  # samples behind the panel's numbers: steady, and still current
-KERNELS = 91  # of the sandbox; other scenes have about as many
 SHOW_INTERVAL = 0.2  # [s] between two lines on the display, and on a terminal, which renews its line
 LOG_INTERVAL = 5.0  # [s] between two lines in a file
 
@@ -153,7 +152,7 @@ def start_progress(show: Callable[[str], None], out: TextIO | None = None) -> It
     def note(count: int) -> None:
         nonlocal shown
         now = perf_counter()
-        text = f"Preparing kernel {count} of about {max(KERNELS, count)}, {now - line.begin:.0f} s"
+        text = f"Preparing: kernel {count}, {now - line.begin:.0f} s (once on this machine, about 20 s)"
         if now - shown >= SHOW_INTERVAL:
             shown = now
             show(text)

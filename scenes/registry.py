@@ -18,7 +18,8 @@ import pkgutil
 import sys
 import traceback
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -27,12 +28,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_
 import scenes
 from assets.file_access import file_size
 from assets.room_folder import MANIFEST, is_room_folder
-from core.errors import BadInput
+from core.errors import BadInput, Cancelled
 
 if TYPE_CHECKING:  # NumPy is not needed to read a command line
     from scenes.scene import Scene
 
 COMMON = ("body", "stage", "material")  # options of every play: the user's bodies and room (scenes/roles.py)
+GAME = ("reset", "update", "score", "message")  # what is called of each game in any play
 YES_NO = {True: "yes", False: "no"}
 
 
@@ -169,17 +171,30 @@ def built(found: Demo, values: dict) -> Scene:
     """The scene that `build` returns. Raises BadInput, also for an error in a scene file."""
     from scenes.scene import Scene
 
-    try:
+    with faults_told(found.name):
         scene = found.build(**values)
-    except BadInput:
-        raise
-    except Exception as e:
-        if not is_scene_file(found.name):
-            raise
-        raise BadInput(f"{found.name}: {fault_of(e, found.name)}") from e
+        game = getattr(scene, "game", None)
+        missing = [name for name in GAME if game is not None and not hasattr(game, name)]
     if not isinstance(scene, Scene):
         raise BadInput(f"{found.name}: build returns no Scene but {type(scene).__name__}")
+    if missing:
+        raise BadInput(f"{found.name}: the game {type(game).__name__} has no {missing[0]}")
     return scene
+
+
+@contextmanager
+def faults_told(name: str) -> Iterator[None]:
+    """Raise BadInput, with the line, for an error in the scene file of this name; errors of the program stay what they
+    are."""
+    try:
+        yield
+    except (BadInput, Cancelled):
+        raise
+    except Exception as e:
+        frames = traceback.extract_tb(e.__traceback__)
+        if not is_scene_file(name) or all(Path(frame.filename) != Path(name) for frame in frames):
+            raise
+        raise BadInput(f"{name}: {fault_of(e, name)}") from e
 
 
 def demos() -> list[Demo]:

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 
@@ -68,8 +67,7 @@ class Headless(Display):
                 commands = [] if world.interaction == mode else [SetInteraction(world.interaction)]  # for a recording
                 yield Frame(FRAME_DT, index * FRAME_DT, self.cameras, hands, commands)
                 line = line or ProgressLine()  # from the second frame on: the first compiles
-                rate = (index - 1) / max(perf_counter() - line.begin, 1e-3)
-                line.show(f"frame {index} of {self.count}, {rate:.1f} a second")
+                line.show(f"frame {index} of {self.count}, {world.timings.fps:.1f} a second")
         finally:
             if line is not None:
                 line.end()

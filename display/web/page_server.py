@@ -334,7 +334,7 @@ class PageServer:
         except (ValueError, LookupError):
             known = here = False
         if not known or not here:
-            return response(connection, HTTPStatus.FORBIDDEN)
+            return response(connection, HTTPStatus.FORBIDDEN, "Open the whole address that the program prints.\n")
         if url.path == "/":
             return page_response(connection, self._hello["title"])
         if url.path != "/socket":

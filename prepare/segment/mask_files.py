@@ -12,6 +12,7 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from assets.file_access import make_folder, part_beside, read_json, reason_of
 from core.errors import BadInput
@@ -56,17 +57,23 @@ class Masks:
 
 
 def overlap_of(found: Masks, truth: Masks) -> dict[str, float]:
-    """Intersection over union of each true object with the found object of that name, over all true masks."""
+    """Intersection over union of each true object with the found one that covers it best, over all true masks.
+
+    No two have the same one. The key is the true object's name, with that of the found one where it is another.
+    """
+    both = np.zeros((len(truth.names) + 1, len(found.names) + 1))  # pixels of each true and each found object
+    for f, t in zip(found.ids, truth.ids, strict=True):
+        if f is not None and t is not None:
+            np.add.at(both, (t, f), 1)
+    either = both.sum(1, keepdims=True) + both.sum(0, keepdims=True) - both
+    overlap = (both / np.maximum(either, 1))[1:, 1:]
+    pairs = dict(zip(*linear_sum_assignment(-overlap), strict=True))
     result = {}
     for k, name in enumerate(truth.names):
-        label = found.names.index(name) + 1 if name in found.names else -1
-        pairs = [
-            (f == label, t == k + 1)
-            for f, t in zip(found.ids, truth.ids, strict=True)
-            if f is not None and t is not None
-        ]
-        both, either = (sum(int(op(a, b).sum()) for a, b in pairs) for op in (np.logical_and, np.logical_or))
-        result[name] = both / max(either, 1)
+        j = pairs.get(k)
+        met = j is not None and overlap[k, j] > 0
+        other = f" (found as {found.names[j]})" if met and found.names[j] != name else ""
+        result[name + other] = float(overlap[k, j]) if met else 0.0
     return result
 
 

@@ -63,7 +63,7 @@ def read_capture(path: str | Path) -> Capture:
     model = find_colmap_model(path)
     if model is None:
         raise BadInput(
-            f"{path}: holds neither transforms.json nor a COLMAP model (cameras, images and points3D in sparse/0)"
+            f"{path}: holds no photographs, neither in images/, and no transforms.json or COLMAP model (sparse/0)"
         )
     return checked(read_colmap(model, path))
 

@@ -107,6 +107,9 @@ def test_each_option_acts_or_has_a_condition(name):
         ("--snapshto x.png view foo.ply", "view has no option --snapshto; did you mean --snapshot?"),
         ("--stereo view a.ply", "view has no option --stereo"),
         ("veiw a", "unknown command veiw; did you mean view?"),
+        ("sandbox", "sandbox is a scene, no command: vrgs.py --scene sandbox"),
+        ("--body a.ply --scale 1e9", "'1e9' is too large: below 1e9"),
+        ("--body a.ply --scale nan", "'nan' is not a positive number"),
         ("cat.ply", "vrgs.py --scene sandbox --body cat.ply"),
         ("view", "required: FILE; see vrgs.py view --help"),
         ("scenes b", "unexpected argument b"),
@@ -152,6 +155,13 @@ def test_the_program_ends_with_status_2(capsys):
 def test_orders_of_blending_are_those_of_the_renderer():
     """Written out, so that a command line is read without NumPy."""
     assert get_args(Sort) == SORTS
+
+
+def test_the_help_begins_with_commands_and_examples():
+    said = playing_parser().format_help()
+    parts = ["usage: ", "commands (", "examples:", "--scene sandbox --stage", "options:", "--detail"]
+    assert (places := [said.index(part) for part in parts]) == sorted(places)
+    assert all(f"\n  {name} " in said[: places[2]] for name in COMMANDS)
 
 
 def test_no_word_at_all_plays_the_ring_toss():

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -123,7 +124,7 @@ def test_a_play_without_a_display_overwrites_nothing(tmp_path, monkeypatch):
     (tmp_path / "ring_toss.mp4").touch()
     monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
     options = PlayOptions()
-    play.open_display(options, fake_scene())
+    play.open_display(options, replace(fake_scene(), game=None))
     assert (options.record, options.snapshot) == (Path("ring_toss_2.mp4"), Path("ring_toss.png"))
 
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from core.camera import look_at, perspective
-from core.runtime import watch_compilation
 from core.vocabulary import Hand, Touch
 from display import user_commands as cmd
 from display.protocol import Frame
-from display.timing import KERNELS, start_progress
+from display.timing import start_progress
 from scenes import ring_toss
 from tests.support.compiling import compiled
 
@@ -82,11 +81,8 @@ class Play:
 @pytest.fixture(scope="module", params=[pytest.param(False, marks=pytest.mark.long), True])
 def play(request, ti_cpu) -> Play:
     """In a window, and in a headset; warmed up."""
-    counts = [0]
-    with watch_compilation(counts.append):
-        play = Play(headset=request.param)
-        play.world.warm_up()
-    assert counts[-1] == pytest.approx(KERNELS, rel=0.25)  # what the progress line says
+    play = Play(headset=request.param)
+    play.world.warm_up()
     return play
 
 
@@ -145,5 +141,5 @@ def test_a_start_says_which_kernel_it_prepares(ti_cpu, monkeypatch):
     with start_progress(shown.append, log):
         compile_some(7)
     compile_some(1)
-    assert shown == [f"Preparing kernel {k} of about {KERNELS}, {k} s" for k in range(1, 8)]
+    assert shown == [f"Preparing: kernel {k}, {k} s (once on this machine, about 20 s)" for k in range(1, 8)]
     assert log.getvalue() == shown[4] + "\n"

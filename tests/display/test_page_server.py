@@ -48,7 +48,7 @@ def test_the_page_is_whole_and_asks_nothing_of_the_network(server):
 
 @pytest.mark.parametrize("path", ["/", "/?token=", "/?token=wrong", "/socket", "/page.js", "//", "/%00", "/?token=%ff"])
 def test_without_the_token_there_is_nothing(server, path):
-    assert answer(server, path) == (403, b"")
+    assert answer(server, path) == (403, b"Open the whole address that the program prints.\n")
 
 
 def test_a_socket_takes_the_token_and_a_page_of_this_server(server):
@@ -135,7 +135,7 @@ def test_garbage_on_the_port_does_no_harm(server, capfd):
                 raw.shutdown(socket.SHUT_WR)
                 while raw.recv(4096):
                     pass
-    assert answer(server, "/") == (403, b"")
+    assert answer(server, "/") == (403, b"Open the whole address that the program prints.\n")
     assert capfd.readouterr() == ("", "")
 
 

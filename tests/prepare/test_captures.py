@@ -255,7 +255,7 @@ def test_a_name_in_a_colmap_model_may_be_too_long_for_a_file(folder):
 def test_what_is_no_capture_is_said(tmp_path):
     with pytest.raises(BadInput, match="no such folder"):
         read_capture(tmp_path / "none")
-    with pytest.raises(BadInput, match=r"neither transforms\.json nor a COLMAP model"):
+    with pytest.raises(BadInput, match=r"no photographs, .* and no transforms\.json or COLMAP model"):
         read_capture(tmp_path)
     (tmp_path / "transforms.json").write_text("{")
     with pytest.raises(BadInput, match="not a JSON file"):

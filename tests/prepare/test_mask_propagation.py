@@ -87,6 +87,15 @@ def test_two_strokes_an_object_mark_all_views(scene):
     assert told[-1] == ("votes", 1.0)
 
 
+def test_objects_are_compared_with_those_that_cover_them_whatever_their_names():
+    true = np.array([[1, 1, 0, 2, 2, 2]], np.uint8)
+    found = np.array([[2, 2, 1, 1, 1, 1]], np.uint8)
+    truth, masks = (
+        Masks(n, object_colors(len(n)), [i]) for n, i in ((["fox", "bear", "cow"], true), (["a", "fox"], found))
+    )
+    assert overlap_of(masks, truth) == {"fox": 1.0, "bear (found as a)": 0.75, "cow": 0.0}
+
+
 def test_a_box_and_a_stroke_outside_do_as_well(scene):
     capture, photographs, truth, depths = scene
     y, x = np.nonzero(truth.ids[3] == 1)

@@ -64,6 +64,37 @@ def test_an_error_in_a_scene_file_is_told_in_one_line(text, said, tmp_path):
     assert "\n" not in str(error.value)
 
 
+GAME = """
+class Game:
+    score, message = 0, ""
+    def reset(self): pass
+    def update(self, time, bodies):
+        return self.pegs
+
+def build():
+    from scenes.scene import Scene
+    return Scene(bodies=[], light=None, eye=(0, 0, 1), target=(0, 0, 0), game=Game())
+"""
+
+
+def test_a_game_without_an_update_is_refused_before_anything_is_compiled(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(GAME.replace("def update", "def updated"), encoding="utf-8")
+    with pytest.raises(BadInput, match=r"mine\.py: the game Game has no update$"):
+        registry.load(str(path))
+
+
+def test_an_error_in_play_is_told_with_its_line_if_it_is_the_scene_file_s(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(GAME, encoding="utf-8")
+    game = registry.load(str(path)).game
+    said = r"mine\.py: line 6: AttributeError: 'Game' object has no attribute 'pegs'"
+    with pytest.raises(BadInput, match=said), registry.faults_told(str(path)):
+        game.update(0.0, [])
+    with pytest.raises(ZeroDivisionError), registry.faults_told(str(path)):
+        raise ZeroDivisionError  # the program's own
+
+
 def test_a_missing_scene_file_is_named():
     with pytest.raises(BadInput, match="no such file"):
         registry.load("nowhere/mine.py")

@@ -16,6 +16,7 @@ from core.vocabulary import Hand
 from display.headless.video import EYE_DISTANCE, FilmWriter, Headless
 from display.picture import pixels_of, side_by_side
 from display.protocol import Frame
+from display.timing import Timings
 from display.user_commands import SetInteraction
 from tests.support.fake_view import FakeView
 from tests.support.fake_world import FakeWorld, fake_scene
@@ -74,7 +75,7 @@ def test_a_mode_that_the_script_changes_is_a_command_that_a_recording_keeps():
             self.interaction = "physics" if time < 0.04 else "transform"
             return []
 
-    world = Scripted(time=0.0, wanted_view=None, interaction="physics")
+    world = Scripted(time=0.0, wanted_view=None, interaction="physics", timings=Timings())
     frames = list(Headless(fake_scene(), width=8, height=8, frames=4).frames(world))
     assert [f.commands for f in frames] == [[], [], [SetInteraction("transform")], []]
 

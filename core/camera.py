@@ -105,8 +105,12 @@ def project(camera: Camera, point: np.ndarray) -> tuple[float, float] | None:
     return (camera.cx + camera.fx * x / z, camera.cy + camera.fy * y / z) if z > 1e-6 else None
 
 
-def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """The same view in a picture of another size [px], with the same vertical field of view."""
+def fitted(camera: Camera, width: int, height: int, *, stretch: float = 1.0) -> Camera:
+    """The same view in a picture of another size [px], with the same vertical field of view.
+
+    stretch  fx / fy of that picture, which is shown in another shape; 1: its pixels are square
+    """
     s = height / camera.height
-    cx, cy = width / 2 + s * (camera.cx - camera.width / 2), s * camera.cy
-    return Camera(width, height, camera.fx * s, camera.fy * s, cx, cy, camera.world_to_camera)
+    fx, fy = camera.fy * s * stretch, camera.fy * s
+    cx, cy = width / 2 + fx / camera.fx * (camera.cx - camera.width / 2), s * camera.cy
+    return Camera(width, height, fx, fy, cx, cy, camera.world_to_camera)

@@ -67,7 +67,8 @@ class Keeper:
                 self._write(path, lambda: save_picture(path, pixels))
             case cmd.WriteCamera(size):
                 path = self._new_path("_camera.json")
-                cameras = [fitted(world.cameras[0], *(size or world.picture_size))]
+                camera = world.cameras[0]
+                cameras = [camera if size is None else fitted(camera, *size)]
                 self._write(path, lambda: write_cameras(path, cameras))
             case cmd.SaveState(view):
                 from display.keep.scene_state import state_of

@@ -88,7 +88,8 @@ class Replay:
         self._cameras = recorded or self._cameras
         if len(self._cameras) < len(shown):
             return shown
-        return [fitted(c, s.width, s.height) for c, s in zip(self._cameras, shown, strict=False)]
+        pairs = zip(self._cameras, shown, strict=False)
+        return [fitted(c, s.width, s.height, stretch=s.fx / s.fy) for c, s in pairs]
 
     def _after(self, world) -> None:
         """Compare the world after its step with the recorded state."""

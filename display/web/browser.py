@@ -112,7 +112,8 @@ class Browser(Display):
             self._start = pixels_of(picture).copy()
             self._picture += 1
         if self._start is not None:
-            self._server.show(self._picture, [], lambda: self._start, still=True)
+            height, width = self._start.shape[:2]
+            self._server.show(self._picture, [], lambda: self._start, still=True, shape=(width, height))
         self._server.tell({"loading": text})
         escapes = [event for event in self._server.take() if event[:2] == ("key", "Escape") and event[3]]
         if self._asked is not None or (self._started and escapes):
@@ -152,7 +153,7 @@ class Browser(Display):
             self._resolution.note(now, seconds, drawing, moving=moving)
             if world.picture_size != self.size:
                 world.resize(*self.size)
-            camera = self._controls.orbit.camera(*world.picture_size)
+            camera = self._controls.camera.resized(*world.picture_size)
             yield Frame(dt, self._time, [camera], hands, commands, max_step=MAX_STEP)
 
     def _pace(self, last: float, world: WorldView) -> None:
@@ -187,7 +188,7 @@ class Browser(Display):
             under = self._controls.hovered(world, over=self._pointing, moving=self._busy)
             strokes = overlay(world, self._controls.camera, hand, under, near=self._near)
             still = self._resolution.still and world.picture_size == self.size
-            self._server.show(self._picture, strokes, lambda: pixels_of(world.picture), still=still)
+            self._server.show(self._picture, strokes, lambda: pixels_of(world.picture), still=still, shape=self._full)
             self._tell(world)
         world.timings.exact = self._server.details
         world.timings.frame(dropped=self._dropped)

@@ -14,7 +14,7 @@ const SLIDER_STEPS = 1000;
 let socket = null, hello = null, ended = "";
 let state = {};  // what the program has told
 let waiting = Promise.resolve();  // pictures are shown in the order in which they come
-let shape = { width: 16, height: 9 };  // of the last picture
+let shape = [16, 9];  // of the last picture: width and height, in any unit
 let marks = [];
 
 // ---------------------------------------------------------------- the socket
@@ -59,7 +59,9 @@ function show(bitmap, head) {
   if (picture.width !== bitmap.width || picture.height !== bitmap.height) {
     picture.width = bitmap.width;
     picture.height = bitmap.height;
-    shape = { width: bitmap.width, height: bitmap.height };
+  }
+  if (String(shape) !== String(head.shape)) {
+    shape = head.shape;
     place();
   }
   picture.getContext("2d", { alpha: false }).drawImage(bitmap, 0, 0);
@@ -77,8 +79,8 @@ function area() {  // what the page has for the picture [px]: on a telephone, wh
 
 function frame() {  // rectangle of the picture in the page: as large as its shape allows
   const { width: wide, height: high } = area();
-  const scale = Math.min(wide / shape.width, high / shape.height);
-  const width = shape.width * scale, height = shape.height * scale;
+  const scale = Math.min(wide / shape[0], high / shape[1]);
+  const width = shape[0] * scale, height = shape[1] * scale;
   const close = Math.abs(width - wide) < 0.02 * wide && Math.abs(height - high) < 0.02 * high;
   if (close) return { left: 0, top: 0, width: wide, height: high };  // sides are rounded to pixels
   return { left: (wide - width) / 2, top: (high - height) / 2, width, height };

@@ -237,11 +237,14 @@ class PageServer:
                 self._pages[0].stamp = stamps[0]
         return [event[:-1] if event[0] in STAMPED else event for event in events]
 
-    def show(self, picture: int, overlay: list, pixels: Callable[[], np.ndarray], *, still: bool) -> None:
+    def show(
+        self, picture: int, overlay: list, pixels: Callable[[], np.ndarray], *, still: bool, shape: tuple[int, int]
+    ) -> None:
         """Send a picture to the pages that are ready for one and do not have it yet.
 
         picture  its number; overlay: strokes over it; pixels: gives (H, W, 4) uint8 RGBA
         still    nothing moves: it goes out in full quality, again if need be
+        shape    width and height to which it is stretched, in any unit
         """
         due, others = [], []
         with self._changed:
@@ -252,7 +255,8 @@ class PageServer:
                 if seen == picture and not (still and seen_quality < quality):
                     others.append(page)
                 elif page.flow.ready and not page.hidden:
-                    due.append((page, quality, {"n": page.flow.send(now, picture, quality), "stamp": page.stamp}))
+                    number = page.flow.send(now, picture, quality)
+                    due.append((page, quality, {"n": number, "stamp": page.stamp, "shape": shape}))
                     page.stamp, page.told["overlay"] = None, overlay
         for page in others:
             self._tell(page, {"overlay": overlay})

@@ -14,7 +14,6 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import caught_up
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.panel import GIZMO_BUTTON, Panel
-from display.picture import fit
 from display.preferences import Preferences
 from display.protocol import Display, Frame, WorldView
 from display.user_commands import Command, ViewFiles
@@ -112,7 +111,7 @@ class Window(Display):
         if text:
             text_box("loading", [[(text, QUIET)]], 0.0, gap=0.0, height=0.5)
         imgui.pop_font()
-        self._texture.draw(self._surface.frame_size)
+        self._draw_picture()
         self._surface.end()
         self._surface.swap()
         if self._surface.closing or ("key", "escape", True) in events:
@@ -145,15 +144,15 @@ class Window(Display):
             commands = self._handle(events, world)
             hands = controls.hands(dt, commands, world)
             self._time += dt
-            self._moved = controls.update_camera(fit(world.picture_size, self._surface.frame_size)[2:])
-            camera = controls.orbit.camera(*world.picture_size)
+            self._moved = controls.update_camera(self._surface.frame_size)
+            camera = controls.camera.resized(*world.picture_size)
             yield Frame(dt, self._time, [camera], hands, commands, max_step=MAX_STEP)
 
     def present(self, world: WorldView) -> None:
         """Show the world's picture, and the panel over it."""
         with world.timings.stage("present"):
             self._texture.upload(world.picture)
-            self._texture.draw(self._surface.frame_size)
+            self._draw_picture()
             controls, panel = self._controls, self._panel
             lines = [*world.lines(), *measuring_lines(controls.measured, controls.orbit.eye)]
             draw_lines(lines, self._controls.camera, self._from_picture, self._surface.scale)
@@ -228,24 +227,22 @@ class Window(Display):
                 controls.let_go()
         return controls.completed(commands, self._surface.frame_size, world)
 
-    @property
-    def _area(self) -> tuple[int, int, int, int]:
-        """Left, top, width and height of the picture in screen coordinates."""
-        camera = self._controls.camera
-        return fit((camera.width, camera.height), self._surface.window_size)
+    def _draw_picture(self) -> None:
+        """Let the picture cover the window, whatever its size: it is drawn for the window's shape."""
+        self._texture.draw(self._surface.frame_size, (0, 0, *self._surface.frame_size))
 
     def _to_picture(self, x: float, y: float) -> tuple[float, float]:
-        left, top, width, height = self._area
-        return (x - left) / width * self._controls.camera.width, (y - top) / height * self._controls.camera.height
+        (width, height), camera = self._surface.window_size, self._controls.camera
+        return x / width * camera.width, y / height * camera.height
 
     def _from_picture(self, at: tuple[float, float]) -> tuple[float, float]:
-        left, top, width, height = self._area
-        return left + at[0] / self._controls.camera.width * width, top + at[1] / self._controls.camera.height * height
+        (width, height), camera = self._surface.window_size, self._controls.camera
+        return at[0] / camera.width * width, at[1] / camera.height * height
 
     def _draw_gizmo(self, world: WorldView) -> list[Command]:
         """Draw the gizmo of the selected body, or of the room; its commands."""
         kind, k, bodies = self._controls.gizmo, world.selected, world.bodies()
-        camera, area = self._controls.camera, self._area
+        camera, area = self._controls.camera, (0, 0, *self._surface.window_size)
         if kind == ROOM_GIZMO and world.room_middle is not None:
             return self._gizmo.draw("turn", world.room_middle, None, camera, area)
         if kind in (None, ROOM_GIZMO) or k is None or k >= len(bodies) or bodies[k].held:

@@ -19,6 +19,7 @@ from tests.support.page_client import PageClient, socket_address
 from tests.support.waiting import until
 
 GREY = np.full((90, 160, 4), 128, np.uint8)
+SHAPE = (48, 35)  # that of the page, not of the pixels
 
 
 @pytest.fixture
@@ -143,24 +144,24 @@ def test_a_picture_goes_out_once_then_in_full_quality_and_only_as_answers_come(s
     with PageClient(server.address, answers=False) as page:
         page.until(lambda: page.state.get("role"))
         for number in (1, 1, 2, 3):
-            server.show(number, [], lambda: GREY, still=False)
+            server.show(number, [], lambda: GREY, still=False, shape=SHAPE)
         page.until(lambda: page.pictures)
         assert page.during(0.2) == 0  # the first one is not answered yet
         page.answers = True
         page.send("shown", page.pictures[0][0]["n"], 20.0)
         until(lambda: server.player.flow.ready)
-        server.show(3, [], lambda: GREY, still=False)
+        server.show(3, [], lambda: GREY, still=False, shape=SHAPE)
         page.until(lambda: len(page.pictures) == 2)
         until(lambda: server.player.flow.ready)
-        server.show(3, [], lambda: GREY, still=False)  # it has that
-        server.show(3, [[0.5, 0.5]], lambda: GREY, still=True)
+        server.show(3, [], lambda: GREY, still=False, shape=SHAPE)  # it has that
+        server.show(3, [[0.5, 0.5]], lambda: GREY, still=True, shape=SHAPE)
         page.until(lambda: len(page.pictures) == 3)
         until(lambda: server.player.flow.ready)
-        server.show(3, [], lambda: GREY, still=True)  # other strokes alone: no picture
+        server.show(3, [], lambda: GREY, still=True, shape=SHAPE)  # other strokes alone: no picture
         page.until(lambda: page.state.get("overlay") == [])
         assert len(page.pictures) == 3
         (_, moving, pixels), (header, still, _) = page.pictures[1:]
-        assert still >= moving and header["overlay"] == [[0.5, 0.5]] and np.abs(pixels.astype(int) - 128).max() < 3
+        assert (header["overlay"], header["shape"]) == ([[0.5, 0.5]], list(SHAPE)) and still >= moving and np.abs(pixels.astype(int) - 128).max() < 3
         assert list(server.flows[0].latencies) == [0.02] and server.flows[0].frames == 3
 
 

@@ -28,9 +28,9 @@ FREE = (WIDTH - 60, HEIGHT - 60)  # neither ball nor panel
 class Session(Watched):
     """A running window on the ball's world."""
 
-    def __init__(self, screen: XServer, folder: Path):
+    def __init__(self, screen: XServer, folder: Path, *more, size=(WIDTH, HEIGHT)):
         options = {"env": screen.env, "patience": 20.0, "stdout": subprocess.PIPE, "text": True}
-        super().__init__("fake_world.py", folder, "--size", WIDTH, HEIGHT, **options)
+        super().__init__("fake_world.py", folder, "--size", *size, *more, **options)
         self.screen, self.folder = screen, folder
         self.window = screen.wait_for_window("Ball")
         self.until(lambda frame: frame["steps"] > 3)
@@ -231,6 +231,27 @@ def test_the_picture_takes_the_size_of_the_window(session):
     assert pixels[495, 795].any() and not pixels[510:, :].any()
     session.screen.do("windowsize", session.window, WIDTH, HEIGHT)
     session.until(lambda f: f["size"] == [WIDTH, HEIGHT])
+
+
+def test_fewer_pixels_cover_the_window_and_move_nothing(tmp_path):
+    """648 x 472 at half a side, in steps of 8 px, is 320 x 240: another shape than the window's."""
+    with XServer(1280, 800) as screen:
+        session = Session(screen, tmp_path, "--coarse", size=(648, 472))
+        screen.key("F1")  # the panel
+        session.until(lambda f: f["size"] == [648, 472])
+        fine = screen.pixels()[60:420, :648].astype(int)  # between the lines of text
+        screen.key_down("w")
+        session.until(lambda f: f["size"] == [320, 240])
+        screen.key_up("w")
+        screen.key("Home")
+        session.until(lambda f: f["eye"] == [0, 0, 3])
+        session.after()
+        coarse = screen.pixels()[60:420, :648].astype(int)
+        session.close()
+    away = np.abs(fine - coarse).max(-1)
+    assert away[:, [0, 1, -2, -1]].max() < 3, "bars at the sides"
+    red = [np.argwhere(picture[..., 0] > 2 * picture[..., 1]) for picture in (fine, coarse)]
+    assert np.abs(red[0].max(0) - red[1].max(0)).max() <= 1 and np.abs(red[0].min(0) - red[1].min(0)).max() <= 1
 
 
 def test_escape_quits_with_status_zero_and_a_clean_output(session):

@@ -2,7 +2,7 @@
 
 Run as a program it opens the real window, the headset or the server of a page on it and logs each frame, one JSON a
 line:
-    python tests/support/fake_world.py LOG.jsonl [--size W H] [--frames N] [--xr | --web]
+    python tests/support/fake_world.py LOG.jsonl [--size W H] [--frames N] [--xr | --web] [--coarse]
 """
 
 import argparse
@@ -20,6 +20,7 @@ from core.material import MATERIALS
 from core.runtime import COMPILER_OPTIONS
 from core.vocabulary import BodyState, Light
 from display import user_commands as cmd
+from display.adaptive_resolution import DynamicResolution, WindowResolution
 from display.keep.keeper import Keeper
 from display.protocol import WorldView
 from display.timing import Timings
@@ -201,7 +202,10 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10**9)
     parser.add_argument("--xr", action="store_true")
     parser.add_argument("--web", action="store_true")
+    parser.add_argument("--coarse", action="store_true", help="from the first motion on draw with the fewest pixels")
     args = parser.parse_args()
+    if args.coarse:
+        WindowResolution.FRAME_TIME, WindowResolution.STILL_AFTER, DynamicResolution.MIN_DRAWING = 1e-6, np.inf, 0.0
 
     ti.init(arch=ti.cpu, log_level=ti.WARN, **COMPILER_OPTIONS)
     scene = fake_scene()

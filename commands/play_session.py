@@ -286,10 +286,9 @@ class Session:
         width, height = self.display.size
         with start_progress(self.display.loading):
             world = World(scene, width=width, height=height, reserve=reserve, **self._world_options)
-            if not self.options.headless:
-                world.draw_start()
-                self.display.loading("", world.picture)
-                world.warm_up()
+            world.draw_start()
+            self.display.loading("", world.picture)
+            world.warm_up()
         if world.softened:
             print(softened_note(world.softened), file=sys.stderr, flush=True)
         return world

@@ -16,6 +16,7 @@ from core.runtime import watch_compilation
 
 HISTORY_LENGTH = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
 RECENT_SAMPLES = 60  # samples behind the panel's numbers: steady, and still current
+FIRST_START = "the first time on this machine about 20 s"  # on two cores of a laptop, whatever the scene
 SHOW_INTERVAL = 0.2  # [s] between two lines on the display, and on a terminal, which renews its line
 LOG_INTERVAL = 5.0  # [s] between two lines in a file
 
@@ -145,14 +146,14 @@ class ProgressLine:
 
 @contextmanager
 def start_progress(show: Callable[[str], None], out: TextIO | None = None) -> Iterator[None]:
-    """While active, tell `show` and the terminal which kernel is being compiled, or read from the cache."""
+    """While active, tell `show` and the terminal for how long kernels have been compiled, or read from the cache."""
     line = ProgressLine(out)
     shown = line.begin
 
     def note(count: int) -> None:
         nonlocal shown
         now = perf_counter()
-        text = f"Preparing: kernel {count}, {now - line.begin:.0f} s (once on this machine, about 20 s)"
+        text = f"Preparing, {now - line.begin:.0f} s ({FIRST_START})"
         if now - shown >= SHOW_INTERVAL:
             shown = now
             show(text)

@@ -57,7 +57,7 @@ class Headless(Display):
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """The frames. The world may have begun with a state, in which time has passed."""
-        line, begin = None, round(world.time / FRAME_DT)
+        line, begin = ProgressLine(), round(world.time / FRAME_DT)
         if world.wanted_view is not None:
             self._look(*world.wanted_view)
         try:
@@ -66,14 +66,12 @@ class Headless(Display):
                 hands = world.scripted_hands((begin + index) * FRAME_DT) if self._scripted else []
                 commands = [] if world.interaction == mode else [SetInteraction(world.interaction)]  # for a recording
                 yield Frame(FRAME_DT, index * FRAME_DT, self.cameras, hands, commands)
-                line = line or ProgressLine()  # from the second frame on: the first compiles
                 line.show(f"frame {index} of {self.count}, {world.timings.fps:.1f} a second")
         finally:
-            if line is not None:
-                line.end()
+            line.end()
 
     def present(self, world: WorldView) -> None:
-        """Mark the end of the frame, from the second on as the device ends it: the first compiles."""
+        """Mark the end of the frame, as the device ends it."""
         world.timings.exact = True
         world.timings.frame()
 

@@ -10,7 +10,7 @@ from core.camera import look_at, perspective
 from core.vocabulary import Hand, Touch
 from display import user_commands as cmd
 from display.protocol import Frame
-from display.timing import start_progress
+from display.timing import FIRST_START, start_progress
 from scenes import ring_toss
 from tests.support.compiling import compiled
 
@@ -128,7 +128,7 @@ def test_a_warm_up_leaves_the_scene_at_its_start(play):
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_start_says_which_kernel_it_prepares(ti_cpu, monkeypatch):
+def test_a_start_says_how_long_it_prepares(ti_cpu, monkeypatch):
     """On the display, and in a log a line now and then; after the start kernels are nobody's concern."""
     ti, clock, log, shown = ti_cpu, iter(np.arange(100.0)), StringIO(), []
     monkeypatch.setattr("display.timing.perf_counter", lambda: next(clock))
@@ -141,5 +141,5 @@ def test_a_start_says_which_kernel_it_prepares(ti_cpu, monkeypatch):
     with start_progress(shown.append, log):
         compile_some(7)
     compile_some(1)
-    assert shown == [f"Preparing: kernel {k}, {k} s (once on this machine, about 20 s)" for k in range(1, 8)]
+    assert shown == [f"Preparing, {k} s ({FIRST_START})" for k in range(1, 8)]
     assert log.getvalue() == shown[4] + "\n"

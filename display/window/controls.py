@@ -36,6 +36,9 @@ RUN_FACTOR = 3.0  # walking speed with Shift
 WALK_KEYS = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, not the whole body
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
+# Where a press looks for a body, in heights of the picture: at the cursor, then 7 and 14 px of 540 around it.
+AROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+PICK_OFFSETS = ((0.0, 0.0), *((r * np.cos(a), r * np.sin(a)) for r in (0.013, 0.026) for a in AROUND))
 ROOM_GIZMO = "room"  # rings that turn the whole room
 HOVER_PERIOD = 0.05  # [s] between two queries for the body under the cursor
 HOVER_OPACITY = 0.5  # of the corners around it
@@ -113,15 +116,24 @@ class Controls:
             world.tell("Now the other point." if len(self.measured) == 1 else "")
 
     def _grab(self, world: WorldView) -> bool:
-        hit = world.pick(*self.camera.ray(*self.cursor))
+        hit = self._pick(world)
         if hit is None:
             return False
-        distance, index = hit
+        distance, index, at = hit
         body = world.bodies()[index]
         radius = RELATIVE_GRAB_RADIUS * float(np.max(body.high - body.low))
         radius = float(np.clip(radius, MIN_GRAB_RADIUS, MAX_GRAB_RADIUS))
-        self.hand.grab(self.camera, *self.cursor, distance, radius)
+        self.hand.grab(self.camera, *at, distance, radius)
         return True
+
+    def _pick(self, world: WorldView) -> tuple[float, int, tuple[float, float]] | None:
+        """`world.pick` at the cursor, else as near beside it as there is a body, and the pixel (u, v) where it is."""
+        for du, dv in PICK_OFFSETS:
+            at = self.cursor[0] + du * self.camera.height, self.cursor[1] + dv * self.camera.height
+            hit = world.pick(*self.camera.ray(*at))
+            if hit is not None:
+                return *hit, at
+        return None
 
     def release(self, button: str) -> None:
         """Handle a mouse button that goes up: ends the drag that it began."""
@@ -185,7 +197,7 @@ class Controls:
         """A command aimed at the body under the cursor; else at the one that is held or was selected last."""
         if not hasattr(command, "body") or self.drag == "grab":
             return command
-        hit = world.pick(*self.camera.ray(*self.cursor))
+        hit = self._pick(world)
         return command if hit is None else replace(command, body=hit[1])
 
     def note(self, commands: Iterable[Command]) -> None:
@@ -331,7 +343,7 @@ class Controls:
         k, cursor, when = self._hovered
         now = perf_counter()
         if now - when > HOVER_PERIOD and (moving or cursor != self.cursor):
-            hit = world.pick(*self.camera.ray(*self.cursor))
+            hit = self._pick(world)
             k = None if hit is None else hit[1]
             self._hovered = (k, self.cursor, now)
         bodies = world.bodies()

@@ -209,6 +209,18 @@ def test_left_press_on_a_body_grabs_it_and_beside_it_turns(controls, world):
     assert controls.orbit.eye[0] < 0  # the scene follows the cursor to the right
 
 
+def test_a_press_beside_a_body_takes_what_the_cursor_shows(controls, world):
+    """The ball's edge is 18.7 px from its centre; 14 of 540 px are 4.7 of 180."""
+    for beside, taken in ((3.0, True), (8.0, False)):
+        press(controls, "left", world, (CENTRE[0] + 18.7 + beside, CENTRE[1]))
+        assert controls.drag == ("grab" if taken else "turn")
+        if taken:
+            assert abs(np.linalg.norm(controls.hand.position) - RADIUS) < 1e-6  # on the ball
+        controls.release("left")
+        controls._hovered = (None, None, 0.0)
+        assert (controls.hovered(world, over=True, moving=True) is not None) == taken
+
+
 def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls, world):
     controls.wheel(1)
     assert_allclose(controls.orbit.distance, 2.7)

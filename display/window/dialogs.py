@@ -41,7 +41,8 @@ def text_field(name: str, typed: str, *, focus: bool, enter: str) -> tuple[str, 
     if focus:
         imgui.set_keyboard_focus_here()
     imgui.set_next_item_width(-1)
-    entered, typed = imgui.input_text(f"##{name}", typed, imgui.InputTextFlags_.enter_returns_true)
+    flags = imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all
+    entered, typed = imgui.input_text(f"##{name}", typed, flags)
     pressed = button_grid({enter: "(Enter)", "Cancel": "(Esc)"}, 2)
     cancelled = pressed == "Cancel" or imgui.is_key_pressed(imgui.Key.escape)
     return typed, not cancelled and (entered or pressed == enter), cancelled
@@ -60,7 +61,7 @@ class OpenDialog:
 
     def __init__(self, preferences: Preferences):
         self._preferences, self.shown = preferences, False
-        self._typed, self._problem = "", ""
+        self._typed, self._problem, self._focus = "", "", True
         self._asked: list[Path] = []  # files that may be either
         self._commands: list[Command] = []
         self._system = None  # the system's dialog while it is open
@@ -80,7 +81,7 @@ class OpenDialog:
             try:
                 kind = kind_of(path)
             except BadInput as e:
-                self.shown, self._problem = True, str(e)
+                self.shown, self._problem, self._focus = True, str(e), True
                 continue
             self._preferences.set("folder", str(path.absolute().parent))
             if kind == "either":
@@ -130,7 +131,7 @@ class OpenDialog:
 
     def _draw_field(self) -> None:
         imgui.text_colored(QUIET, "Drop a splat, a mesh or an asset here, or type its path.")
-        focus = imgui.is_window_appearing()
+        focus, self._focus = self._focus or imgui.is_window_appearing(), False
         self._typed, entered, cancelled = text_field("path", self._typed, focus=focus, enter="Open")
         if cancelled:
             self.close()

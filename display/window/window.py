@@ -135,7 +135,7 @@ class Window(Display):
             events = self._surface.begin()
             now = perf_counter()
             seconds, last = now - last, now
-            dt, dropped = caught_up(seconds, world.simulation_cost)
+            dt, dropped = (0.0, 0.0) if self._asks else caught_up(seconds, world.simulation_cost)
             self._dropped += dropped
             drawing = world.timings.latest("shadow", "render", "present")
             self._busy = self._moved or world.moving
@@ -191,6 +191,12 @@ class Window(Display):
             controls.measured = None
         return [*chosen, *dialog.draw(), *self._up_choice.draw(world), *measured]
 
+    @property
+    def _asks(self) -> bool:
+        """True while a dialog or a text field has the keys. The world waits then, so that it does not slow the typing."""
+        controls, typing = self._controls, imgui.get_io().want_text_input
+        return typing or controls.menu or self._open_dialog.shown or len(controls.measured or ()) == 2
+
     def _resize(self, now: float, world: WorldView) -> None:
         """Let the world draw in the size that is wanted; a window's new size must be stable first, until then
         pictures are stretched."""
@@ -203,6 +209,7 @@ class Window(Display):
     def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
         io, controls = imgui.get_io(), self._controls
         listing = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)  # a list that is open has the keys
+        closing = () if io.want_text_input or listing else ("escape", "f2") if controls.menu else ("escape",)
         commands, self._commands = self._commands, []
         controls.note(commands)
         for kind, *what in events:
@@ -217,7 +224,7 @@ class Window(Display):
                     controls.press(name, world)
             elif kind == "wheel" and not io.want_capture_mouse:
                 controls.wheel(*what)
-            elif kind == "key" and not (what[1] and (io.want_text_input or listing)):
+            elif kind == "key" and not (what[1] and (self._asks or listing) and what[0] not in closing):
                 commands += controls.key(*what, world)
             elif kind == "drop" and world.editable:
                 self._open_dialog.offer(*what)

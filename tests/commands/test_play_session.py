@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import commands.play_session as play_session
+import vrgs
 from assets.asset import Asset
 from assets.splat_files import write_gaussians
 from commands import opening
@@ -19,6 +20,7 @@ from display.preferences import Preferences
 from display.protocol import Frame
 from display.user_commands import AddBody, CancelOpening, Measure, OpenScene, Pause, SwapRoom
 from sim.model import CapacityError
+from tests.support.compiling import compiled
 from tests.support.fake_view import FakeView
 from tests.support.leaning_room import leaning_room
 from tests.support.shells import ball
@@ -260,3 +262,18 @@ def test_cancelling_gives_up_what_waits(session):
     play = session([CancelOpening()], [])
     worlds_of(play)
     assert play.world.told == []
+
+
+def test_nothing_is_compiled_after_the_first_picture_without_a_display(ti_cpu, monkeypatch):
+    from display.world import World
+
+    step, seen = World.step, []
+
+    def watched(self, frame):
+        with compiled() as names:
+            step(self, frame)
+        seen.append(names)
+
+    monkeypatch.setattr(World, "step", watched)
+    assert vrgs.main(["--headless", "--scene", "sandbox", "--frames", "3", "--size", "64x48", "--arch", "cpu"]) == 0
+    assert seen == [[], [], []]

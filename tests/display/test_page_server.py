@@ -161,7 +161,11 @@ def test_a_picture_goes_out_once_then_in_full_quality_and_only_as_answers_come(s
         page.until(lambda: page.state.get("overlay") == [])
         assert len(page.pictures) == 3
         (_, moving, pixels), (header, still, _) = page.pictures[1:]
-        assert (header["overlay"], header["shape"]) == ([[0.5, 0.5]], list(SHAPE)) and still >= moving and np.abs(pixels.astype(int) - 128).max() < 3
+        assert (
+            (header["overlay"], header["shape"]) == ([[0.5, 0.5]], list(SHAPE))
+            and still >= moving
+            and np.abs(pixels.astype(int) - 128).max() < 3
+        )
         assert list(server.flows[0].latencies) == [0.02] and server.flows[0].frames == 3
 
 

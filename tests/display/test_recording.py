@@ -219,7 +219,9 @@ def test_a_view_fills_a_picture_of_another_size():
     c = fitted(CAMERA, 320, 120)
     assert (c.width, c.height, c.fy, c.cx, c.cy) == (320, 120, CAMERA.fy * 2.5, 160.0, 60.0)
     assert c.fx == c.fy
-    seen = fitted(CAMERA.resized(64, 40), 320, 120, stretch=1.1)  # from and for pictures that are shown in another shape
+    seen = fitted(
+        CAMERA.resized(64, 40), 320, 120, stretch=1.1
+    )  # from and for pictures that are shown in another shape
     assert (seen.fy, seen.cx, seen.cy) == pytest.approx((c.fy, 160.0, 60.0)) and seen.fx == pytest.approx(1.1 * c.fx)
 
 

@@ -1,6 +1,7 @@
 """The real window under Xvfb, driven by a mouse and keys from outside (xdotool)."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from core.camera import look_at, perspective, project
 from core.errors import BadInput
+from display.window.dialogs import LINUX_DIALOGS
 from display.window.gl_window import has_display
 from display.window.window import Window
 from tests.support.fake_world import RADIUS, fake_scene
@@ -231,6 +233,31 @@ def test_the_picture_takes_the_size_of_the_window(session):
     assert pixels[495, 795].any() and not pixels[510:, :].any()
     session.screen.do("windowsize", session.window, WIDTH, HEIGHT)
     session.until(lambda f: f["size"] == [WIDTH, HEIGHT])
+
+
+@pytest.mark.skipif(any(map(shutil.which, LINUX_DIALOGS)), reason="the system asks for files")
+def test_a_dialog_has_the_keyboard_and_the_world_waits(session):
+    """Also after a mistake, which the next letters replace: none of them is a shortcut."""
+    (session.folder / "newspaper.obj").touch()
+    session.screen.key("ctrl+o")
+    session.until(lambda f: f["dt"] == 0.0)
+    before = len(session.frames())
+    session.screen.do("type", "--delay", 40, "wrap")
+    session.screen.key("Return")  # no such file
+    session.after(5)
+    session.screen.do("type", "--delay", 40, "newspaper.obj")
+    session.screen.click(*FREE)  # the field loses the keyboard, the dialog keeps it
+    session.screen.do("type", "--delay", 40, "wasdrpn")
+    last = session.after()
+    assert last["eye"] == [0, 0, 3] and not last["paused"]
+    assert not any(f["commands"] or f["dt"] for f in session.frames()[before:])
+    session.screen.key("Escape")
+    session.until(lambda f: f["dt"] > 0.0)
+    session.screen.key("ctrl+o")  # with the text that was typed
+    session.after(5)
+    session.screen.key("Return")
+    session.until(lambda f: "AddBody" in f["commands"])
+    (session.folder / "newspaper.obj").unlink()
 
 
 def test_fewer_pixels_cover_the_window_and_move_nothing(tmp_path):

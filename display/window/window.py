@@ -193,7 +193,7 @@ class Window(Display):
 
     @property
     def _asks(self) -> bool:
-        """True while a dialog or a text field has the keys. The world waits then, so that it does not slow the typing."""
+        """True while a dialog or a text field has the keys; the world waits then, and does not slow the typing."""
         controls, typing = self._controls, imgui.get_io().want_text_input
         return typing or controls.menu or self._open_dialog.shown or len(controls.measured or ()) == 2
 

@@ -41,8 +41,7 @@ def text_field(name: str, typed: str, *, focus: bool, enter: str) -> tuple[str, 
     if focus:
         imgui.set_keyboard_focus_here()
     imgui.set_next_item_width(-1)
-    flags = imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all
-    entered, typed = imgui.input_text(f"##{name}", typed, flags)
+    entered, typed = imgui.input_text(f"##{name}", typed, imgui.InputTextFlags_.enter_returns_true)
     pressed = button_grid({enter: "(Enter)", "Cancel": "(Esc)"}, 2)
     cancelled = pressed == "Cancel" or imgui.is_key_pressed(imgui.Key.escape)
     return typed, not cancelled and (entered or pressed == enter), cancelled
@@ -131,8 +130,9 @@ class OpenDialog:
 
     def _draw_field(self) -> None:
         imgui.text_colored(QUIET, "Drop a splat, a mesh or an asset here, or type its path.")
+        # A field of another name begins anew: with its text selected, which the next letters replace.
         focus, self._focus = self._focus or imgui.is_window_appearing(), False
-        self._typed, entered, cancelled = text_field("path", self._typed, focus=focus, enter="Open")
+        self._typed, entered, cancelled = text_field(f"path{self._problem}", self._typed, focus=focus, enter="Open")
         if cancelled:
             self.close()
         elif entered:

@@ -238,7 +238,7 @@ def test_the_picture_takes_the_size_of_the_window(session):
 @pytest.mark.skipif(any(map(shutil.which, LINUX_DIALOGS)), reason="the system asks for files")
 def test_a_dialog_has_the_keyboard_and_the_world_waits(session):
     """Also after a mistake, which the next letters replace: none of them is a shortcut."""
-    (session.folder / "newspaper.obj").touch()
+    (session.folder / "newspaper.obj").write_text("v 0 0 0\n")
     session.screen.key("ctrl+o")
     session.until(lambda f: f["dt"] == 0.0)
     before = len(session.frames())

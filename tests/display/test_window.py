@@ -256,7 +256,7 @@ def test_a_dialog_has_the_keyboard_and_the_world_waits(session):
     session.screen.key("ctrl+o")  # with the text that was typed
     session.after(5)
     session.screen.key("Return")
-    session.until(lambda f: "AddBody" in f["commands"])
+    session.eventually(lambda: any("AddBody" in f["commands"] for f in session.frames()[before:]))
     (session.folder / "newspaper.obj").unlink()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from assets.library import animated_height, default_material
-from core.errors import BadInput
 from core.material import Material
 from scenes.scene import Body, BodyState, Box, Hand, Light, Plane, Role, Room, Scene, floor_and_walls
 from scenes.scripted_hands import Throw
@@ -34,8 +33,7 @@ class JustDance:
     duration = THROW_PERIOD * len(PROPS) + 0.8
     goal = len(PROPS)
 
-    def __init__(self, height: float):
-        self.height = height  # [m] of the dancer
+    def __init__(self):
         self.reset()
 
     def reset(self) -> None:
@@ -59,11 +57,10 @@ class JustDance:
             self.turn, self.throw = turn, self.throw_at(dancer, props[turn])
 
     def throw_at(self, dancer: BodyState, prop: BodyState) -> Throw:
-        """A throw from the hall at the dancer's skirt, from where both are now."""
-        middle = 0.5 * (dancer.low + dancer.high)
-        target = (middle[0], STAGE_TOP + 0.5 * self.height, middle[2])
+        """A throw from the hall at the dancer's skirt, or the middle of another body, from where both are now."""
+        target = 0.5 * (dancer.low + dancer.high)
         release = (0.5 * prop.centroid[0], 1.45, 1.15)
-        return Throw.of(prop, release, target, approach_time=0.3, lift_time=0.6, flight_time=FLIGHT_TIME)
+        return Throw.of(prop, release, tuple(target), approach_time=0.3, lift_time=0.6, flight_time=FLIGHT_TIME)
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         return [self.throw.hand(time - self.turn * THROW_PERIOD)] if self.throw else []
@@ -99,12 +96,10 @@ def room_colliders() -> list[Plane | Box]:
     ]
 
 
-def build(body: str = "dancer", material: str | None = None) -> Scene:
-    """`body` is an animated asset, `material` a name (core/material.py) or None for its own. Raises BadInput."""
-    height = animated_height(body)
-    if height is None:
-        raise BadInput(f"{body}: is not animated; make such an asset by vrgs.py prepare PERSON.ply --rig RIG.glb")
-    made_of = default_material(body) if material is None else Material.named(material)
+def build(material: str | None = None) -> Scene:
+    """`material` of the dancer: a name (core/material.py) or None for its own."""
+    height = animated_height("dancer")
+    made_of = default_material("dancer") if material is None else Material.named(material)
     (lx, _, lz), (rx, _, rz) = TABLES
     places = ((lx - 0.15, TABLE_TOP + 0.022, lz), (lx + 0.15, TABLE_TOP + 0.022, lz), (rx, TABLE_TOP + 0.002, rz))
     props = [
@@ -114,13 +109,13 @@ def build(body: str = "dancer", material: str | None = None) -> Scene:
     theatre = room_colliders()
     back = max(1.3 * height - 1.1, 0.0)  # [m], to see it from head to foot
     return Scene(
-        bodies=[Body("stage"), Body(body, made_of.animated(height), position=PLACE), *props],
+        bodies=[Body("stage"), Body("dancer", made_of.animated(height), position=PLACE), *props],
         colliders=theatre,
         light=Light(position=(0.55, 3.2, 1.35), target=PLACE),  # the spot above the hall
         background=BACKGROUND,
         eye=(0.0, 1.6, 2.1 + back),
         target=(0.0, STAGE_TOP + 0.45 * height, 0.0),
-        game=JustDance(height),
-        roles=(Role("dancer", (body,), animated=True), Role("prop", PROPS)),
+        game=JustDance(),
+        roles=(Role("dancer", ("dancer",), animated=True), Role("prop", PROPS)),
         room=Room(("stage",), tuple(theatre), spot=(0.0, STAGE_TOP, 0.0), radius=0.8, on_floor=True),
     )

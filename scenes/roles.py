@@ -16,7 +16,7 @@ import numpy as np
 
 from assets.environment import Environment
 from assets.hdf5 import open_hdf5
-from assets.library import animated_height, asset_material, cage_vertices, find_asset
+from assets.library import animated_height, asset_material, cage_vertices, default_material, find_asset
 from assets.quantisation import read_grid
 from assets.room_folder import is_room_folder, read_room
 from core.camera import Camera
@@ -77,15 +77,16 @@ def in_place_of(body: Body, asset: str, role: Role, name: str, material: str | N
     """An asset in place of a body of the scene. Raises BadInput."""
     height = animated_height(asset)
     if role.animated is not None and role.animated != (height is not None):
-        moves = "does not move by itself" if role.animated else "moves by itself"
-        raise BadInput(f"{asset}: {moves}, so that it cannot be {name}")
+        moves = "is not animated" if role.animated else "moves by itself"
+        how = "; such an asset is made by vrgs.py prepare PERSON.ply --rig RIG.glb" if role.animated else ""
+        raise BadInput(f"{asset}: {moves}, so that it cannot be {name}{how}")
     low, high = bounds(body.asset, body)
     its_low, its_high = bounds(asset, replace(body, scale=1.0, position=(0.0, 0.0, 0.0)))
     scale = float(np.linalg.norm(high - low) / np.linalg.norm(its_high - its_low)) if role.resize else 1.0
     foot, its_foot = ([0.5 * (a[0] + b[0]), a[1], 0.5 * (a[2] + b[2])] for a, b in ((low, high), (its_low, its_high)))
     made_of = Material.named(material) if material is not None else asset_material(asset) or body.material
     if height is not None:
-        made_of = made_of.animated(scale * height)
+        made_of = (default_material(asset) if material is None else made_of).animated(scale * height)
     position = tuple(map(float, np.subtract(foot, np.multiply(scale, its_foot))))
     return replace(body, asset=asset, material=made_of, scale=scale, position=position, asleep=False, captured=False)
 

@@ -1,6 +1,5 @@
 """Bodies and rooms of the user's in the roles of scenes."""
 
-import inspect
 import json
 from dataclasses import replace
 from itertools import pairwise
@@ -59,11 +58,11 @@ def room(tmp_path, *, table: bool, scale: float = 1.0) -> str:
 
 
 def replaceable(name: str) -> tuple[list[str], Role, str, int]:
-    """The first role of a demo that is filled from outside: the bodies before it, the role, its name and its body."""
-    default = inspect.signature(registry.demo(name).build).parameters.get("body")
-    before = [] if default is None else [default.default] if isinstance(default.default, str) else list(default.default)
-    free = [p for p in places(registry.load(name)) if registry.load(name).bodies[p[2]].asset not in before]
-    return before, *free[0]
+    """The first role of a demo that a still body may play: the bodies before it, the role, its name and its body."""
+    scene = registry.load(name)
+    all_places = places(scene)
+    first = next(k for k, (role, _, _) in enumerate(all_places) if not role.animated)
+    return [scene.bodies[i].asset for _, _, i in all_places[:first]], *all_places[first]
 
 
 @pytest.mark.parametrize("name", [name for name in DEMOS if name != "sandbox"])  # which places its bodies itself
@@ -85,6 +84,17 @@ def test_a_body_takes_the_place_the_size_and_the_material_of_what_it_replaces(na
     assert registry.load(name, body=[*before, mine], material="wood").bodies[i].material == Material.named("wood")
     with pytest.raises(BadInput, match="too many for this scene; roles"):
         registry.load(name, body=[*before, *[mine] * (len(places(scene)) + 1)])
+
+
+def test_a_small_animal_dances_as_large_as_the_dancer(tmp_path):
+    """It is no speck on the stage; --scale keeps its size."""
+    mine, dancer = str(tmp_path / "animal.h5"), registry.load("just_dance").bodies[1]
+    asset = Asset.load(find_asset("dancer"))
+    replace(asset, cage=replace(asset.cage, vertices=np.float32(0.3) * asset.cage.vertices)).save(mine)
+    body = registry.load("just_dance", body=mine).bodies[1]
+    assert_allclose(bounds(mine, body), bounds("dancer", dancer), atol=1e-5)
+    assert body.material.young == pytest.approx(dancer.material.young, rel=1e-5)
+    assert registry.load("just_dance", body=mine, resize=False).bodies[1].scale == 1.0
 
 
 @pytest.mark.parametrize("name", DEMOS)

@@ -55,7 +55,10 @@ def open_session(options: PlayOptions) -> Iterator[Session]:
         world |= {"depth": bool(options.xr and display.depth), "fingers": bool(options.xr)}
         if replay:
             world = replay.world_options(world)
-        views = {"views": 2 if options.stereo or options.xr else 1, "props": display.props() if options.xr else []}
+        from display.xr.avatar import scripted_skins
+
+        props = display.props() if options.xr else scripted_skins()
+        views = {"views": 2 if options.stereo or options.xr else 1, "props": props}
         with Session(
             options,
             scene,

@@ -80,6 +80,8 @@ class World(WorldView):
         self.backlog = 0.0  # [s] of a demo that have passed but are not simulated yet
         self._cost = SimulationCost()
         self._hands: list[Hand] = []  # of the last frame
+        self._script: list[Hand] = []  # the scripted player's hands, while it acts
+        self._acting: list[Hand] = []  # as they are drawn
         self._bodies: list[BodyState] = []
         self.pictures = 0
         self.cameras: list[Camera] = []  # of the last picture
@@ -109,10 +111,10 @@ class World(WorldView):
         host in turn. So what moved in the last frame is taken to go on moving; what begins to move is deformed late.
         """
         self._carry_out(frame.commands)
-        props_moved = self._place_props(frame.prop_poses)
         simulates = not self.paused or cmd.last_of(cmd.SingleStep, frame.commands) is not None
         deforms = self._deform_due or (simulates and self.moving)
         launched = self._launch(frame) if simulates else None
+        props_moved = self._place_props(frame.prop_poses)
         if deforms:
             self._deform()
         self.moving = launched is not None and self._moved(launched)
@@ -137,7 +139,11 @@ class World(WorldView):
             self._commanding = False
 
     def _place_props(self, poses: np.ndarray | None) -> bool:
-        """Move the skinned props; returns whether any has moved."""
+        """Move the skinned props, without poses to the scripted player's hands; returns whether any has moved."""
+        if poses is None and self.device.props is not None and self._script != self._acting:
+            from display.xr.avatar import scripted_poses
+
+            poses, self._acting = scripted_poses(self._script, self.scene.eye, self.scene.target), self._script
         if poses is None:
             return False
         with self.timings.stage("hands"):
@@ -249,7 +255,7 @@ class World(WorldView):
     def _end_demo(self) -> None:
         """Let the user's hands play again, in the mode in which they did."""
         if self.demo:
-            self.demo = False
+            self.demo, self._script = False, []
             self._set_interaction(self._demo_from)
 
     def _set_interaction(self, mode: str) -> None:
@@ -338,7 +344,8 @@ class World(WorldView):
             return []
         if hasattr(game, "interaction") and game.interaction(time) != self.interaction:
             self.apply([cmd.SetInteraction(game.interaction(time))])
-        return game.hands(time, self.registry.scene_states(self._bodies))
+        self._script = game.hands(time, self.registry.scene_states(self._bodies))
+        return self._script
 
     # The view of displays, as WorldView says (display/protocol.py)
 

@@ -69,8 +69,8 @@ class SkinnedProps:
         self.place(np.tile(HIDDEN_POSE, (self.parts, 1, 1)), None)
 
     def place(self, poses: np.ndarray, light: Light | None) -> bool:
-        """Move part k to x = poses[k] [x_bound, 1], (parts, 3, 4) [m]; NaN hides it. Returns whether a pose changed."""
-        poses = np.array(poses, np.float32)
+        """Move part k to x = poses[k] [x_bound, 1], (parts.., 3, 4) [m]; NaN hides it. Returns whether one moved."""
+        poses = np.array(poses[: self.parts], np.float32)
         poses[~(np.abs(poses) < HIDDEN_DISTANCE).all(axis=(1, 2))] = HIDDEN_POSE
         poses = poses.reshape(self.parts, 12)
         if self._placed is not None and np.array_equal(self._placed, poses):

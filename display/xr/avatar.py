@@ -1,4 +1,5 @@
 """The player's avatar: hands or controllers, the finger that pokes, the ray that points, corners of the selected body.
+The hands alone are those of a scripted player, in any display.
 
 Everything is drawn at the pose that the solver used, not at a later one: a hand must not slip on what it holds. The
 Gaussians are modelled by studio/avatar_model.py; the skin of a hand is bound to its 26 joints.
@@ -6,17 +7,19 @@ Gaussians are modelled by studio/avatar_model.py; the skin of a hand is bound to
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from assets.gaussians import Gaussians
-from core.vocabulary import BodyState
+from core.rotation import matrices_from_quaternions, pose_matrix
+from core.vocabulary import BodyState, Hand, Vec3
 from display.edit import selection_marker
 from display.xr.actions import FINGER_LENGTH, Controller
-from display.xr.hand_joints import BONE_ENDS, FINGERS, JOINT_COUNT, PALM, WRIST, HandJoints, posed
-from display.xr.poses import pose_matrix, rotation_facing
+from display.xr.hand_joints import BONE_ENDS, FINGERS, JOINT_COUNT, PALM, RELAXED, THUMB_TIP, WRIST, HandJoints, posed
+from display.xr.poses import rotation_facing
 from render.skinned_props import Skin
 
 MODELS = Path(__file__).with_name("avatar.npz")
@@ -30,6 +33,9 @@ BIND_BENDS = (0.0, 0.02, 0.02, 0.02, 0.02)  # of the model hand's fingers: apart
 METACARPALS = [f[0] for f in FINGERS[1:]]
 MAX_SCALE, MIN_SCALE = 1.6, 0.6  # of a bone's length and thickness, against the model
 TARGET_HEIGHT = 0.03  # [m] over the floor, on which a carpet may lie
+HOLDING = (0.5, 0.42, 0.42, 0.46, 0.5)  # bend of each finger of a scripted hand that holds something, thumb first
+SHOULDERS = np.array([[-0.2, -0.3, 0.1], [0.2, -0.3, 0.1]])  # [m] of a scripted player, from the eye: right, up, back
+GRASP_DEPTH, MAX_GRASP_DEPTH = 0.6, 0.1  # of a hand's reach, [m]: how far what it holds is from its fingers
 
 
 def skins() -> list[Skin]:
@@ -47,6 +53,37 @@ def skins() -> list[Skin]:
     for side in (0, 1):
         shaded += [("controller", CONTROLLER + side), ("finger", FINGER + side), ("fingertip", FINGERTIP + side)]
     return [*(skin(*which, solid=False) for which in glowing), *(skin(*which) for which in shaded)]
+
+
+def scripted_skins() -> list[Skin]:
+    """Skins of the two hands of a scripted player, posed by `scripted_poses`."""
+    return [skin for skin in skins() if skin.part.max() < CONTROLLER and skin.solid]
+
+
+def scripted_poses(hands: Sequence[Hand], eye: Vec3, target: Vec3) -> np.ndarray:
+    """Poses (52, 3, 4) of a scripted player's hands, as one who looks from `eye` to `target` [m] would hold them.
+
+    They come from the shoulders, and touch from this side what they hold. A hand that was never placed is hidden.
+    """
+    poses = np.full((2 * JOINT_COUNT, 3, 4), np.nan)
+    back = np.subtract(eye, target) * [1.0, 0.0, 1.0]
+    looking = rotation_facing(back / max(np.linalg.norm(back), 1e-6), (0.0, 1.0, 0.0), np.array([1.0, 0.0, 0.0]))
+    for k, hand in enumerate(hands[:2]):
+        side = k if len(hands) > 1 else 1
+        at = np.array(hand.position, np.float64)
+        if not at.any():
+            continue
+        away = np.add(eye, looking @ SHOULDERS[side]) - at
+        away /= max(np.linalg.norm(away), 1e-6)
+        turn = matrices_from_quaternions(np.array(hand.rotation)) @ rotation_facing(
+            away, (0.0, 1.0, 0.0), looking[:, 0]
+        )
+        joints = posed(HOLDING if hand.grip else RELAXED, left=side == 0)
+        grasp = 0.5 * (joints.position[THUMB_TIP] + joints.position[FINGERS[2][-1]])
+        touched = at + min(GRASP_DEPTH * hand.reach, MAX_GRASP_DEPTH) * away
+        joints = joints.transformed(pose_matrix(touched - turn @ grasp, turn))
+        poses[JOINT_COUNT * side : JOINT_COUNT * (side + 1)] = skinning_transforms(joints, left=side == 0)
+    return poses
 
 
 def hidden() -> np.ndarray:

@@ -5,14 +5,18 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.gaussians import concatenate
+from core.material import Material
 from core.spherical_harmonics import C0
-from core.vocabulary import Light
+from core.vocabulary import Body, Hand, Light
+from display.protocol import Frame
+from display.user_commands import PlayDemo
 from display.xr import avatar
 from display.xr.actions import Controller
 from display.xr.hand_joints import FINGERS, JOINT_COUNT, WRIST, posed, rotation_about
 from display.xr.poses import pose_matrix
 from render.skinned_props import HIDDEN_DISTANCE, SkinnedProps
 from render.splats import Splats
+from scenes.scene import Scene
 
 LIGHT = Light(position=(0.5, 2.0, 0.3))
 
@@ -142,3 +146,37 @@ def test_a_ray_goes_from_the_hand_to_the_spot():
     assert_allclose(parts[avatar.RAY] @ [0, 0, 0, 1], start)
     assert_allclose(parts[avatar.RAY] @ [0, 0, -1, 1], end)
     assert np.linalg.norm(parts[avatar.TARGET][:, 3] - end) < 0.05
+
+
+def test_the_hand_of_a_scripted_player_is_drawn_while_it_acts(ti_cpu):
+    """It touches what it holds from the player's side; before it acts, and after, there is none."""
+    from display.world import World
+
+    class Game:
+        duration, score, message = 0.05, 0, ""
+        held: tuple[Hand, ...] = (Hand((0.1, 0.3, -0.2), grip=True, reach=0.05),)
+
+        def reset(self): ...
+        def update(self, time, bodies): ...
+        def hands(self, time, bodies):
+            return list(self.held)
+
+    ring = Body("ring_red", Material.named("silicone"), position=(0.0, 0.1, 0.0))
+    scene = Scene([ring], None, (0.0, 0.6, 0.9), (0.0, 0.1, 0.0), game=Game())
+    world = World(scene, width=16, height=16, props=avatar.scripted_skins())
+
+    def drawn_hand() -> np.ndarray:
+        world.step(Frame(1 / 60, 0.0, []))
+        means = world.device.splats.mean.to_numpy()[world.device.still : world.device.first]
+        return means[np.abs(means).max(axis=1) < HIDDEN_DISTANCE]
+
+    assert len(drawn_hand()) == 0
+    world.apply([PlayDemo(True)])
+    hand = drawn_hand()
+    assert len(hand) == len(avatar.scripted_skins()[1].gaussians)  # the right one
+    far = np.linalg.norm(hand - Game.held[0].position, axis=1)
+    assert far.min() < 0.03 and far.max() < 0.3
+    assert (hand.mean(0) - Game.held[0].position)[2] > 0.03  # towards the player
+    for _ in range(4):
+        last = drawn_hand()
+    assert len(last) == 0 and not world.demo

@@ -26,13 +26,13 @@ TOYS = {  # name: (x, y, z) [m], turn about the vertical and forwards [degrees]
 # The play
 BASKET_AT, RIM_RADIUS, BASKET_HEIGHT = (0.0, FLOOR, 0.30), 0.335, 0.264  # [m]
 TURNS = ((0, 2, 4), (1, 3))  # toys that the scripted hands gather, left and right
-PERIOD, LIFT_AT, LIFT_TIME = 1.5, 4.7, 0.9  # [s]
+PERIOD, LIFT_AT, LIFT_TIME, SET_DOWN_AT = 1.5, 4.7, 0.9, 1.7  # [s]; the last from the lift's beginning
 
 
 class ToyCollection:
     """Each toy in the basket scores; with all of them in it, it may be carried off."""
 
-    duration = LIFT_AT + 2.1
+    duration = LIFT_AT + SET_DOWN_AT + LIFT_TIME + 0.7
     goal = len(TOYS)
 
     def __init__(self):
@@ -47,7 +47,7 @@ class ToyCollection:
     def update(self, time: float, bodies: list[BodyState]) -> None:
         basket, *toys = bodies
         self.inside = {k for k, toy in enumerate(toys) if lies_in(basket, toy) and not toy.held}
-        self.carried = bool(self.inside) and basket.held and basket.low[1] > FLOOR + 0.15
+        self.carried |= bool(self.inside) and basket.held and basket.low[1] > FLOOR + 0.15
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         if time >= LIFT_AT:
@@ -66,12 +66,16 @@ class ToyCollection:
         return hands
 
     def lifting(self, t: float, basket: BodyState) -> list[Hand]:
-        """Both hands below the rim: they close, and lift it."""
+        """Both hands below the rim: they close, lift it, set it down nearer to the player, and let go."""
         if self.rim is None:
             x, y, z = basket.centroid[0], basket.low[1] + 0.75 * BASKET_HEIGHT, basket.centroid[2]
             self.rim = np.array([(x + s * (RIM_RADIUS + 0.01), y, z) for s in (-1, 1)])
-        up = 0.3 * ease((t - 0.5) / LIFT_TIME)
-        return [Hand(tuple(p + [0.0, up, 0.6 * up]), grip=t >= 0.4, reach=0.05) for p in self.rim]
+        lifted, lowered = ease((t - 0.5) / LIFT_TIME), ease((t - SET_DOWN_AT) / LIFT_TIME)
+        way = np.array([0.0, 0.3 * (lifted - lowered), 0.18 * lifted])
+        after = t - SET_DOWN_AT - LIFT_TIME - 0.1
+        apart = np.array([0.15 * ease(after / 0.4), 0.0, 0.0])
+        grip = t >= 0.4 and after < 0.0
+        return [Hand(tuple(p + way + s * apart), grip=grip, reach=0.05) for p, s in zip(self.rim, (-1, 1), strict=True)]
 
     @property
     def score(self) -> int:
@@ -88,6 +92,7 @@ class ToyCollection:
         gathered = sum(map(len, TURNS))  # of which one may roll off the heap
         assert self.score >= gathered - 1, f"only {self.score} of {gathered} toys in the basket"
         assert self.carried, "the basket was not lifted with the toys in it"
+        assert not bodies[0].held and bodies[0].low[1] < FLOOR + 0.02, "the basket was not set down"
         assert all(b.low[1] > FLOOR - 0.03 for b in bodies), "something fell through the floor"
 
 

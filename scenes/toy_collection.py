@@ -138,7 +138,7 @@ def build() -> Scene:
     return Scene(
         bodies=[Body("childrens_room"), basket, *toys()],
         colliders=own,
-        light=Light(position=(0.25, 2.02, 0.35), target=(0.0, 0.0, 0.0), strength=0.5, softness=0.03),
+        light=Light(position=(0.25, 2.02, 0.35), target=(0.0, 0.0, 0.0), strength=0.36, softness=0.05),
         background=BACKGROUND,
         eye=(0.0, 1.25, 1.62),
         target=(0.0, 0.22, -0.05),

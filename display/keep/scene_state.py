@@ -209,11 +209,11 @@ def game_state(game) -> SavedGame:
 
 def game_values(game, saved: SavedGame) -> dict[str, Any]:
     """The attributes of a game of this kind. Raises BadInput."""
-    if saved.name != type(game).__name__ or saved.state.keys() != vars(game).keys():
+    if saved.name != type(game).__name__ or not vars(game).keys() <= saved.state.keys():
         raise BadInput("its game is another one")
     known = vars(sys.modules[type(game).__module__])
     classes = {name: kind for name, kind in known.items() if isinstance(kind, type) and is_dataclass(kind)}
-    return {name: decoded(value, classes) for name, value in saved.state.items()}
+    return {name: decoded(saved.state[name], classes) for name in vars(game)}  # an older game may have had more
 
 
 def encoded(value: Any, depth: int = 0) -> Any:

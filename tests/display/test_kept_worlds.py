@@ -24,7 +24,7 @@ from core.tetmesh import tet_volumes
 from core.vocabulary import Body, Hand, Light, Plane
 from display import user_commands as cmd
 from display.keep.scene_export import exporter, moving_bodies, shown_gaussians, von_mises
-from display.keep.scene_state import located, put_state, state_of
+from display.keep.scene_state import game_state, game_values, located, put_state, state_of
 from display.keep.state_file import read_state, write_state
 from display.picture import pixels_of
 from display.protocol import Frame
@@ -345,3 +345,12 @@ def test_a_demo_goes_on_in_another_program_bit_for_bit(ti_cpu, tmp_path, name):
     np.testing.assert_array_equal(there.motion, expected.motion)
     assert [b.asleep for b in there.bodies] == [b.asleep for b in expected.bodies]
     assert there.settings.time == expected.settings.time and there.settings.game == expected.settings.game
+
+
+def test_a_state_of_an_older_game_may_hold_more_than_the_game_has_now():
+    """Such as the dancer's height; one that holds less is of another game."""
+    game = registry.load("just_dance").game
+    saved = game_state(game)
+    assert game_values(game, replace(saved, state=saved.state | {"height": 0.87})).keys() == vars(game).keys()
+    with pytest.raises(BadInput, match="another one"):
+        game_values(game, replace(saved, state={"height": 0.87}))

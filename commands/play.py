@@ -15,6 +15,7 @@ from commands.prepared import prepared_bodies, prepared_capture, prepared_stage
 from core.errors import BadInput
 from core.runtime import start_taichi
 from scenes.registry import is_scene_file, label
+from scenes.sandbox import RING, TOYS
 
 if TYPE_CHECKING:
     from commands.play_session import Session
@@ -118,6 +119,8 @@ def open_replay(options: PlayOptions) -> Replay | None:
     from display.record.replay import Replay
 
     replay = Replay.load(options.replay)
+    if replay.version < 5:
+        replay.about = with_its_toy(replay.about)
     take_options(options, replay.about, options.replay, "recording was made")
     return replay
 
@@ -130,9 +133,15 @@ def open_state(options: PlayOptions) -> SceneState | None:
 
     path = options.state
     state = read_state(path)
-    take_options(options, state.about, path, "state was saved")
+    alone = TOYS[1] not in dict(state.assets)
+    take_options(options, with_its_toy(state.about) if alone else state.about, path, "state was saved")
     options.state = path  # not that from which its own play went on
     return state
+
+
+def with_its_toy(about: dict[str, Any]) -> dict[str, Any]:
+    """The options of a play from the time when a ring alone lay in the sandbox, where the user brought nothing."""
+    return about | ({"body": [RING]} if about.get("scene") == "sandbox" and not about.get("body") else {})
 
 
 def take_options(options: PlayOptions, about: dict[str, Any], file: Path, made: str) -> None:

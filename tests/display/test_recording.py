@@ -16,7 +16,7 @@ import pytest
 import scenes
 import vrgs
 from commands.parser import parse
-from commands.play import open_display, open_film
+from commands.play import open_display, open_film, open_replay
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.material import Material
@@ -28,6 +28,7 @@ from display.record.recording import Recording
 from display.record.recording_file import JOURNAL, VERSION
 from display.record.replay import Replay, fitted
 from display.timing import Timings
+from scenes import registry
 from tests.support.fake_world import fake_scene
 
 CAMERA = perspective(64, 48, 0.9, look_at((0, 1, 2), (0, 0, 0)))
@@ -65,11 +66,11 @@ def some_frames(count=200, dt=1 / 90):
     return frames
 
 
-def record(path, frames, world=None, close=True):
+def record(path, frames, world=None, close=True, scene="ring_toss"):
     """A recording of these frames."""
     world = world or Ball()
     recording = Recording(path)
-    recording.about = {"scene": "ring_toss", "seed": 3, "arch": "cpu", "world": {"sort": "radial"}}
+    recording.about = {"scene": scene, "seed": 3, "arch": "cpu", "world": {"sort": "radial"}}
     for frame in frames:
         world.step(recording.note(frame))
         recording.after(world)
@@ -322,6 +323,22 @@ def test_a_recording_of_the_first_version_keeps_the_material_of_its_time(tmp_pat
     implied = [old.implied_material("sandbox", body) for body in (None, "ring_red", "dancer")]
     assert implied == ["plush", "plush", "flesh"]
     assert old.implied_material("ring_toss", None) is None
+
+
+def test_a_recording_of_the_sandbox_from_before_version_5_has_the_ring_alone(tmp_path):
+    """Three different things lie on its table now."""
+    record(tmp_path / "play.h5", some_frames(3), scene="sandbox")
+    words = ["--headless", "--replay", str(tmp_path / "play.h5")]
+    assert len({*bodies_of(words)}) == len(bodies_of(words)) == 3
+    as_version_3(tmp_path / "play.h5")
+    assert bodies_of(words) == ["ring_red"]
+
+
+def bodies_of(words: list[str]) -> list[str]:
+    """Assets of what lies about in the scene of a command line."""
+    options = parse(words)[1]
+    open_replay(options)
+    return [b.asset for b in registry.load(options.scene, body=options.body).bodies if b.material is not None]
 
 
 ROOT = Path(__file__).resolve().parents[2]

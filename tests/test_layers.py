@@ -27,8 +27,8 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_500, "assets": 4_550, "scenes": 2_250, "sim": 10_350, "render": 3_350, "prepare": 12_800,
-    "display": 13_050, "commands": 3_900, "bench": 3_100, "installer": 200, "tests": 32_000,
+    "core": 2_550, "assets": 4_550, "scenes": 2_250, "sim": 10_350, "render": 3_350, "prepare": 12_800,
+    "display": 13_150, "commands": 3_900, "bench": 3_100, "installer": 200, "tests": 32_950,
 }  # fmt: skip
 MOST_FILES = 295  # of the product
 

@@ -64,4 +64,4 @@ def test_an_unknown_order_in_a_file_is_refused(tmp_path):
 def test_splats_are_shown_in_their_order_unless_the_user_chooses():
     for chosen, trained, shown in ((None, "z", "z"), (None, "", "radial"), ("pixel", "z", "pixel")):
         file = SimpleNamespace(gaussians=replace(some_gaussians(3), sort=trained))
-        assert Viewer._order(SimpleNamespace(_sort=chosen, file=file)) == shown
+        assert Viewer._order.fget(SimpleNamespace(_sort=chosen, file=file)) == shown

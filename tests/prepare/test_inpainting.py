@@ -280,7 +280,7 @@ def test_a_body_does_not_carry_away_what_its_masks_took_of_the_table(ti_cpu, fee
     if feet:
         whole.sh[taken, 0] = (np.array([0.7, 0.35, 0.05]) - 0.5) / C0
     ids = np.concatenate([taken, np.ones(len(thing))]).astype(np.uint16)
-    capture = SimpleNamespace(views=[SimpleNamespace(camera=lambda c=c: c) for c in cameras()])
+    capture = SimpleNamespace(cameras=cameras)
     told = without_supports(replace(concatenate([whole, thing]), object_id=ids, objects=("ball",)), capture).object_id
     share = told[: len(whole)][taken].mean()
     assert (share > 0.9 if feet else share < 0.3) and told[len(whole) :].mean() > 0.9

@@ -116,7 +116,7 @@ def test_a_saved_state_starts_no_scene_file_that_the_command_line_does_not_name(
     from display.keep import state_file
 
     about = {"scene": scene_file, "interaction": "physics"}
-    monkeypatch.setattr(state_file, "read_state", lambda path: SimpleNamespace(about=about))
+    monkeypatch.setattr(state_file, "read_state", lambda path: SimpleNamespace(about=about, assets=[]))
     with pytest.raises(BadInput, match="name that too"):
         open_state(parse(["--state", "kept.h5"])[1])
     named = parse(["--state", "kept.h5", "--scene", scene_file])[1]

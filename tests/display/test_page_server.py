@@ -69,8 +69,9 @@ def test_a_socket_takes_the_token_and_a_page_of_this_server(server):
 def test_a_name_that_is_not_of_this_machine_gets_nothing(server):
     """As of a page of another site, whose name was pointed here after it was loaded: its origin is that of the host."""
     path, own = f"/?{urlsplit(server.address).query}", socket.gethostname()
+    refusal = 403, b"Open the whole address that the program prints.\n"
     for host in ("evil.example:8090", "localhost.evil.example", "127.0.0.1.evil.example", "", "[::1", "a b"):
-        assert answer(server, path, Host=host, Origin=f"http://{host}") == (403, b"Open the whole address that the program prints.\n")
+        assert answer(server, path, Host=host, Origin=f"http://{host}") == refusal
     for host in ("localhost:9000", "127.0.0.1", "[::1]:8090", own, f"{own.upper()}.local:8090"):
         assert answer(server, path, Host=host, Origin=f"http://{host}")[0] == 200
 

@@ -76,7 +76,7 @@ def test_marks_tell_the_object_of_each_gaussian(tmp_path, ti_cpu):
         ("{0} --out {0}/room --marks {0}/none.json", "no such file or folder"),
         ("{0} --out {0}/room --lama {0}/file", "a network is an .onnx file"),
         ("{0} --out {0}/room --no-objects --scale-points 1,2 1,2,3 1", "neither PHOTOGRAPH"),
-        ("{0} --out {0}/room --no-objects --scale-points 1,2,3 1,2,4 -1", "no length"),
+        ("{0} --out {0}/room --no-objects --scale-points 1,2,3 1,2,4 -1", "not a length"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_is_made(tmp_path, words, why):

@@ -15,7 +15,6 @@ from commands.prepared import prepared_bodies, prepared_capture, prepared_stage
 from core.errors import BadInput
 from core.runtime import start_taichi
 from scenes.registry import is_scene_file, label
-from scenes.sandbox import RING, TOYS
 
 if TYPE_CHECKING:
     from commands.play_session import Session
@@ -130,6 +129,7 @@ def open_state(options: PlayOptions) -> SceneState | None:
     if not options.state:
         return None
     from display.keep.state_file import read_state
+    from scenes.sandbox import TOYS
 
     path = options.state
     state = read_state(path)
@@ -141,6 +141,8 @@ def open_state(options: PlayOptions) -> SceneState | None:
 
 def with_its_toy(about: dict[str, Any]) -> dict[str, Any]:
     """The options of a play from the time when a ring alone lay in the sandbox, where the user brought nothing."""
+    from scenes.sandbox import RING
+
     return about | ({"body": [RING]} if about.get("scene") == "sandbox" and not about.get("body") else {})
 
 

@@ -58,7 +58,7 @@ class OnnxNetwork:
         return np.frombuffer(found, np.float32).reshape(self._shape)
 
     def _answer(self) -> bytes:
-        """What the process says next; why it says nothing more, once that is so."""
+        """The next message of the process, or the reason why none comes any more."""
         try:
             if self._pipe.poll(PATIENCE):
                 return self._pipe.recv_bytes()

@@ -123,7 +123,7 @@ class PerPixelSort:
 
     @ti.func
     def _along_row(self, i: ti.i32, end: ti.i32, v: ti.i32, x0: ti.i32, y: ti.i32):
-        """Whether member i of the bins touches a row of pixels, its Gaussian, and its numbers along the row.
+        """True if member i of the bins touches a row of pixels, its Gaussian, and its numbers along the row.
 
         log2 alpha = base - dx (A dx + tilt) and 1/z = center + slope dx, at dx = dx0 + q of pixel q; `missing`: 1/z of
         pixels outside its ellipse. From `end` on: an empty splat, behind all others.

@@ -24,7 +24,7 @@ BOX_TOLERANCE = 1e-4  # relative: what float32 leaves of a box
 
 @dataclass(frozen=True)
 class MeshBody:
-    """What soft and rigid bodies have in common; they also have a `material`, a `rotation` and a `position`.
+    """The part that soft and rigid bodies share; they also have a `material`, a `rotation` and a `position`.
 
     vertices  rest positions in the body frame, already scaled [m], (V, 3)
     tets      (T, 4) with det[x1-x0, x2-x0, x3-x0] > 0;   surface  (S, 3) outward

@@ -36,7 +36,7 @@ RUN_FACTOR = 3.0  # walking speed with Shift
 WALK_KEYS = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, not the whole body
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
-# Where a press looks for a body, in heights of the picture: at the cursor, then 7 and 14 px of 540 around it.
+# Offsets of the rays of a press, in heights of the picture: at the cursor, then 7 and 14 px of 540 around it.
 AROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
 PICK_OFFSETS = ((0.0, 0.0), *((r * np.cos(a), r * np.sin(a)) for r in (0.013, 0.026) for a in AROUND))
 ROOM_GIZMO = "room"  # rings that turn the whole room

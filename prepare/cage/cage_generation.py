@@ -208,7 +208,7 @@ def lift_over(cage: TetLocator, outside: np.ndarray) -> np.ndarray:
 
 
 def fault(cage: Cage, filled: float, inside: float, vertices: int, exact: bool = False) -> str:
-    """What is wrong with a cage that holds the fraction `inside` of the points, in one line; "" if nothing is."""
+    """The fault of a cage that holds the fraction `inside` of the points, in one line; "" if it has none."""
     if abs(len(cage.vertices) - vertices) > VERTEX_TOLERANCE * vertices:
         return f"the cage has {len(cage.vertices)} vertices, {vertices} were asked for"
     volume = tet_volumes(cage.vertices, cage.tets)

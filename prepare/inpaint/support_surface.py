@@ -282,7 +282,7 @@ def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
 
 
 def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float):
-    """What all views together show at points (H, W, 3) of a surface, within a tolerance [m].
+    """Visibility and colour of points (H, W, 3) of a surface in all views together, within a tolerance [m].
 
     Out.  masks (H, W): the surface is known; is absent; was covered by the object; and was lacking behind the object;
           the colour (H, W, 3), from the view that shows a texel largest and least slanted
@@ -304,7 +304,7 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
 
 
 def _look(texture: SurfaceTexture, points: np.ndarray, view: HoleView, tolerance: float):
-    """What one view shows at points (H, W, 3) of a surface.
+    """Visibility of points (H, W, 3) of a surface in one view.
 
     Out.  masks (5, H, W): in the picture; the surface; something behind it; the object in front of it; no surface
           behind the object; how large a texel appears (H, W), 0 where it does not; its pixel (H, W, 2)

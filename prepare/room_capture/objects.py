@@ -44,7 +44,7 @@ class Support:
 
 
 def support_of(gaussians: Gaussians, rest: Gaussians) -> Support:
-    """What holds an object in the rest of a room [m], +y up. Raises BadInput if it touches nothing.
+    """The support that holds an object in the rest of a room [m], +y up. Raises BadInput if it touches nothing.
 
     It stands if its contacts near the foot surround its centre; else it hangs, as a trophy on a wall does.
     """

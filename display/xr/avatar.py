@@ -18,7 +18,7 @@ from core.rotation import matrices_from_quaternions, pose_matrix
 from core.vocabulary import BodyState, Hand, Vec3
 from display.edit import selection_marker
 from display.xr.actions import FINGER_LENGTH, Controller
-from display.xr.hand_joints import BONE_ENDS, FINGERS, JOINT_COUNT, PALM, RELAXED, THUMB_TIP, WRIST, HandJoints, posed
+from display.xr.hand_joints import BONE_ENDS, FINGERS, JOINT_COUNT, PALM, THUMB_TIP, WRIST, HandJoints, posed
 from display.xr.poses import rotation_facing
 from render.skinned_props import Skin
 
@@ -63,22 +63,23 @@ def scripted_skins() -> list[Skin]:
 def scripted_poses(hands: Sequence[Hand], eye: Vec3, target: Vec3) -> np.ndarray:
     """Poses (52, 3, 4) of a scripted player's hands, as one who looks from `eye` to `target` [m] would hold them.
 
-    They come from the shoulders, and touch from this side what they hold. A hand that was never placed is hidden.
+    They come from the shoulders, and touch from this side what they hold. A hand that holds nothing is hidden: scripts
+    leave it in the air where it let go.
     """
     poses = np.full((2 * JOINT_COUNT, 3, 4), np.nan)
     back = np.subtract(eye, target) * [1.0, 0.0, 1.0]
     looking = rotation_facing(back / max(np.linalg.norm(back), 1e-6), (0.0, 1.0, 0.0), np.array([1.0, 0.0, 0.0]))
     for k, hand in enumerate(hands[:2]):
+        if not hand.grip:
+            continue
         side = k if len(hands) > 1 else 1
         at = np.array(hand.position, np.float64)
-        if not at.any():
-            continue
         away = np.add(eye, looking @ SHOULDERS[side]) - at
         away /= max(np.linalg.norm(away), 1e-6)
         turn = matrices_from_quaternions(np.array(hand.rotation)) @ rotation_facing(
             away, (0.0, 1.0, 0.0), looking[:, 0]
         )
-        joints = posed(HOLDING if hand.grip else RELAXED, left=side == 0)
+        joints = posed(HOLDING, left=side == 0)
         grasp = 0.5 * (joints.position[THUMB_TIP] + joints.position[FINGERS[2][-1]])
         touched = at + min(GRASP_DEPTH * hand.reach, MAX_GRASP_DEPTH) * away
         joints = joints.transformed(pose_matrix(touched - turn @ grasp, turn))

@@ -169,9 +169,11 @@ def _decode(path: Path, header: Header, streams: list[bytes], report: Report) ->
     quats = _smallest_three(rotations) if header.version >= 3 else _first_three(rotations)
     dc = (colors.reshape(n, 1, 3) / np.float32(255) - 0.5) / COLOR_SCALE
     rest = (sh.reshape(n, -1, 3)[:, : SH_COUNTS[-1] - 1].astype(np.float32) - 128) / 128
+    with np.errstate(invalid="ignore"):  # a signalling NaN of version 1: its Gaussian is dropped
+        means = means * AXIS_FLIP
     return drawable_gaussians(
         path,
-        means * AXIS_FLIP,
+        means,
         quats * AXIS_FLIP_QUAT,
         scales.reshape(n, 3) / np.float32(16) - 10,
         logits_from_bytes(alphas),

@@ -64,6 +64,9 @@ class RigidEditing:
             elif self._grasps.get(h, (-1,))[0] != body:
                 begin = self._held.get(h)
                 self._grasps[h] = (body, np.linalg.inv(world_from_hand(hand) if begin is None else begin))
+                for other, (held, _) in self._grasps.items():
+                    if held == body and other in self._poses:  # it held on before: from here on too
+                        self._grasps[other] = (body, np.linalg.inv(self._poses[other]))
                 self._keep(body)
         moved = set()
         for h, (body, hand_from_world) in sorted(self._grasps.items()):

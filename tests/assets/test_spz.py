@@ -3,6 +3,7 @@
 import gzip
 import struct
 import tracemalloc
+import warnings
 import zlib
 
 import numpy as np
@@ -60,6 +61,12 @@ def test_spz_version_1_has_float16_positions(tmp_path):
     np.testing.assert_array_equal(g.means, [[1.5, 0.25, -3.0]])
     np.testing.assert_allclose(g.log_scales, -4.0)
     np.testing.assert_allclose(g.opacities, 128 / 255, atol=1e-6)
+
+
+def test_spz_version_1_with_signalling_nans_is_refused_in_one_line(tmp_path):
+    (tmp_path / "a.spz").write_bytes(spz_bytes(1, bytes([1, 0x7C] * 3), rotation=b"\x80" * 3))
+    with pytest.raises(BadInput, match="is finite"), warnings.catch_warnings(action="error"):
+        read_gaussians(tmp_path / "a.spz")
 
 
 def test_spz_version_2_derives_w(tmp_path):

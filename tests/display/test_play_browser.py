@@ -34,12 +34,14 @@ def test_a_ring_is_thrown_and_another_scene_opened(tmp_path):
             rim = np.array(project(camera, centre + [0.0, 0.0, ring_toss.RING_RADIUS + 0.004]))
             page.drag(rim, rim - [0, 60], seconds=1.5, release=False)
             play.until(lambda f: f["bodies"][YELLOW]["held"] and f["bodies"][YELLOW]["centroid"][1] > centre[1] + 0.05)
+            reduced = page.screenshot(tmp_path / "reduced.png").astype(int)
+            assert abs(reduced[:, 0] - reduced[:, 10]).mean() < 20  # no bar at the edge
             page.drag(rim - [0, 60], rim + [50, -90], seconds=0.4, press=False)
             play.until(lambda f: not f["bodies"][YELLOW]["held"])
             page.until("state.fps === null", 300)
             assert page.value("state['section Body'].label") == "ring yellow"
             page.value("send('open', 'sandbox', {})")
-            play.until(lambda f: len(f["bodies"]) == 1)
+            play.until(lambda f: "toy duck" in [b["name"] for b in f["bodies"]])
             page.until("hello.playing === 'sandbox' && !state.loading")
         play.process.terminate()
         assert play.process.wait(60) == 0

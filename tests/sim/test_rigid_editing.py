@@ -70,6 +70,18 @@ def test_a_body_follows_one_hand_rigidly_and_nothing_else_moves(solver):
     assert solver.bodies()[0].velocity[1] == pytest.approx(-9.81 * DT, rel=1e-3)
 
 
+def test_a_second_hand_too_near_the_first_to_scale_leaves_it_in_the_first(solver):
+    at, aside = np.array([BESIDE, SIDE / 2, 0.0]), np.array([9.0, 9.0, 9.0])
+    hold(solver, at, aside, (False, False))
+    start = hold(solver, at, aside, (True, False))
+    at = at + [0.0, 0.1, 0.0]
+    hold(solver, at, at + [0, 0.01, 0], (True, False))
+    hold(solver, at, at + [0, 0.01, 0])
+    assert solver.contacts.hands.grasped_bodies()[:2] == [0, 0]
+    after = hold(solver, at + [0.0, 0.1, 0.0], at + [0, 0.11, 0])
+    assert_allclose(after, start + [0.0, 0.2, 0.0], atol=1e-6)
+
+
 def test_a_body_grows_with_the_distance_of_two_hands_about_their_middle(solver):
     a, b, x = gripped(solver)
     after = hold(solver, 1.5 * (a - [0, SIDE / 2, 0]) + [0, 0.1, 0], 1.5 * (b - [0, SIDE / 2, 0]) + [0, 0.1, 0])

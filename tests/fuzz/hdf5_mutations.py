@@ -53,7 +53,7 @@ def any_of(rng: np.random.Generator, options):
 def put(file: h5py.File, name: str, values, **options) -> None:
     """Replace a dataset; its attributes stay."""
     attributes = dict(file[name].attrs)
-    if getattr(values, "dtype", None) == object:  # texts and references, of a dtype that only the file knows
+    if np.asarray(values).dtype.kind == "O":  # texts and references, of a dtype that only the file knows
         options.setdefault("dtype", file[name].dtype)
     del file[name]
     data = file.create_dataset(name, data=values, **options)

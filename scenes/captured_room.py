@@ -1,6 +1,6 @@
 """A captured room, made by `vrgs.py capture`: its objects can be grabbed, each at its place; --scene ROOM/ plays it.
 
-In a room without objects there is a ball, or what the user brings.
+In a room without objects there is a jelly bear, or what the user brings.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from core.rotation import matrices_from_quaternions
 from scenes.scene import Body, BodyState, Hand, Light, Plane, Role, Scene
 from scenes.scripted_hands import ease
 
-TOY, TOY_DROP = "ball", 0.02  # where no object was captured; [m] over the free place
+TOY, TOY_DROP = "jelly_bear", 0.02  # where no object was captured; [m] over the free place
 BACKGROUND = (0.12, 0.13, 0.14)  # where no photograph showed anything
 SUN_HEIGHT = 10.0  # [m] above what is looked at
 SHADOW = (0.35, 0.03)  # strength and softness: weak, as the photographs have shadows of their own

@@ -21,7 +21,7 @@ START = (0.0, TABLE_TOP + 0.03, 0.14)  # [m], of the body's lowest point
 GAP = 0.04  # [m] between bodies side by side
 ROW_WIDTH = 1.4  # [m] of the table of 1.6 m; what finds no place in a row falls from above it
 RING = "ring_red"  # thrown at an animated body
-TOYS = (RING, "ball", "toy_duck")  # where the user brings none
+TOYS = (RING, "jelly_bear", "toy_duck")  # where the user brings none
 RING_SCALE_PER_METRE = 2.2  # size of the ring, in multiples of the ring toss's, for each metre of that body's height
 
 

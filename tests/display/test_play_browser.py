@@ -41,7 +41,7 @@ def test_a_ring_is_thrown_and_another_scene_opened(tmp_path):
             page.until("state.fps === null", 300)
             assert page.value("state['section Body'].label") == "ring yellow"
             page.value("send('open', 'sandbox', {})")
-            play.until(lambda f: "toy duck" in [b["name"] for b in f["bodies"]])
+            play.until(lambda f: "toy_duck" in [b["name"] for b in f["bodies"]])
             page.until("hello.playing === 'sandbox' && !state.loading")
         play.process.terminate()
         assert play.process.wait(60) == 0

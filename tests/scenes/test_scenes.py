@@ -234,3 +234,17 @@ def test_a_scene_without_a_light_plays_without_shadows(ti_cpu):
     assert world.light is None and world.stats()["finite"] and not world.notice
     assert (world.device.splats.visibility.to_numpy() == 1.0).all()
     assert pixels_of(world.picture)[..., :3].any()
+
+
+def test_what_the_sandbox_begins_with_stays_on_the_table(ti_cpu):
+    from display.world import World
+
+    scene = registry.load("sandbox")
+    world = World(replace(scene, bodies=scene.bodies[2:]), width=32, height=24)
+    camera = perspective(32, 24, scene.fov_y, look_at(scene.eye, scene.target))
+    places = []
+    for _ in range(180):
+        world.step(Frame(1 / 30, 0.0, [camera]))
+        places.append([b.centroid for b in world.bodies()])
+    assert np.linalg.norm(np.subtract(places[-1], places[60]), axis=1).max() < 0.003
+    world.close()

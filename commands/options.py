@@ -182,7 +182,8 @@ def positive(kind: type) -> Callable[[str], float]:
         if value >= 1e9:
             raise argparse.ArgumentTypeError(f"{text!r} is too large: below 1e9")
         if not value > 0:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+            what = "whole number" if kind is int else "number"
+            raise argparse.ArgumentTypeError(f"{text!r} is not a positive {what}")
         return value
 
     return parse

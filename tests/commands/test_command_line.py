@@ -110,6 +110,7 @@ def test_each_option_acts_or_has_a_condition(name):
         ("sandbox", "sandbox is a scene, no command: vrgs.py --scene sandbox"),
         ("--body a.ply --scale 1e9", "'1e9' is too large: below 1e9"),
         ("--body a.ply --scale nan", "'nan' is not a positive number"),
+        ("prepare a.ply --out a.h5 --vertices 1e9", "'1e9' is not a positive whole number"),
         ("cat.ply", "vrgs.py --scene sandbox --body cat.ply"),
         ("view", "required: FILE; see vrgs.py view --help"),
         ("scenes b", "unexpected argument b"),

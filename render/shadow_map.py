@@ -25,7 +25,7 @@ DIRECTIONAL_DISTANCE = 40.0  # [scene radii] of a directional light: its rays di
 CAPTURED_WIDTHS = (1.0, 2.0, 4.0, 8.0)
 TAPS = 4  # per side of the filter
 MAX_FILTER_RADIUS = 12.0  # [texels]; wider taps would be too far apart to blend
-OWN_BIAS = 0.004  # [m] of shadows on Gaussians that cannot shadow themselves
+OWN_BIAS = 0.004  # [m] of shadows on Gaussians that cannot shadow themselves, however large: feet touch their shadows
 CASTING_FRACTION = 0.5  # of the way to the target, beyond which static Gaussians cast: no lampshade, no ceiling
 STATIC_BIAS = 0.05  # [m] depth behind static Gaussians at which another one is surely in their shadow
 # Parts of a tile's splats that are drawn side by side: seen from the light, most bodies are in a few tiles of the map.
@@ -305,7 +305,7 @@ class ShadowMap:
         for g in range(end):
             exposed, visibility = self.splats.exposed[g], 1.0
             if g < self.begin:
-                shade = self._shade(DYNAMIC, self.splats.mean[g], softness, OWN_BIAS + self._size(g), OWN_BIAS)
+                shade = self._shade(DYNAMIC, self.splats.mean[g], softness, OWN_BIAS, OWN_BIAS)
                 visibility = 1.0 - strength * shade * exposed
             else:
                 light = self._light_on_dynamic(g, softness)

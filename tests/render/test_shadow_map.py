@@ -69,6 +69,22 @@ def test_the_floor_under_the_ball_is_dark_and_the_rest_is_not(stage):
     assert area == pytest.approx(np.pi * edge**2, rel=0.15)
 
 
+def test_the_floor_under_a_small_foot_is_dark_however_coarse_its_gaussians_are(ti_cpu):
+    """Such a foot is thinner than the Gaussians of a lawn are wide; without a shadow it seems to float."""
+    from render.shadow_map import ShadowMap
+    from render.splats import Splats
+
+    floor = sheet(0.6, 0.0, 0.06)
+    splats = Splats(concatenate([floor, ball([0.0, 0.02, 0.0], 0.02, 300)]))
+    shadow = ShadowMap(splats, LIGHT, len(floor))
+    shadow.cast()
+    light, away = splats.visibility.to_numpy()[: len(floor)], np.linalg.norm(floor.means, axis=1)
+    shadow.destroy()
+    splats.destroy()
+    assert light[away.argmin()] < 1 - 0.9 * LIGHT.strength
+    np.testing.assert_allclose(light[away > 0.05], 1, atol=1e-3)
+
+
 def test_the_edge_is_as_soft_as_asked(stage):
     """More softness, more Gaussians in half shade."""
     shares = []

@@ -126,7 +126,7 @@ def table() -> list[Surface]:
 
 
 def ball_ring() -> Surface:
-    """The wooden ring that keeps the ball from rolling."""
+    """The brass ring that keeps the ball from rolling; of wood it looked like a stain on the table."""
     (x, y, z), radius, rod = BALL_RING
     a = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     b = np.linspace(0, 2 * np.pi, 14, endpoint=False)
@@ -135,7 +135,7 @@ def ball_ring() -> Surface:
         [np.outer(np.cos(a), away), np.broadcast_to(rod + rod * np.sin(b), (48, 14)), -np.outer(np.sin(a), away)], -1
     )
     mesh = grid_mesh(points, close_u=True, close_v=True).moved(translation=(x, y, z))
-    return Surface("ball ring", mesh, plain("6d3f20", 0.12, 0.02), 0.0042, gloss=0.06, object_id=2)
+    return Surface("ball ring", mesh, plain("d9a94a", 0.06, 0.02), 0.003, gloss=0.3, object_id=2)
 
 
 def chair() -> list[Surface]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from assets.asset import Asset
 from core.material import Material
+from core.mesh_sampling import Mesh, face_normals
 from studio.attic.attic_shell import PINE, old_boards
 from studio.detail import Detail
 from studio.finish import to_gaussians
@@ -51,13 +52,14 @@ def face_coordinates(p: np.ndarray, n: np.ndarray, size) -> tuple[np.ndarray, np
     return axis, right, up
 
 
-def text_at(text: str, right, up, at, height: float) -> np.ndarray:
-    """Ink (N,) of a text whose middle stands at `at` [m] on a face, its letters `height` [m] high."""
+def text_at(text: str, right, up, at, height: float, step: float) -> np.ndarray:
+    """Ink (N,) of a text whose middle stands at `at` [m] on a face, its letters `height` high and `step` apart [m]."""
     ink = np.zeros(len(right))
-    step = 0.82 * height
     for k, letter in enumerate(text):
         centre = at[0] + (k - 0.5 * (len(text) - 1)) * step
-        ink = np.maximum(ink, sampled(glyph(letter), (right - centre) / (0.5 * height), (up - at[1]) / (0.5 * height)))
+        ink = np.maximum(
+            ink, sampled(glyph(letter), 0.82 * (right - centre) / (0.5 * step), (up - at[1]) / (0.5 * height))
+        )
     return ink
 
 
@@ -75,20 +77,25 @@ def cardboard() -> list[Surface]:
         shine = 1 + 0.08 * noise(p * (60, 60, 12), 5)
         c = np.where(tape[:, None], srgb(TAPE) * shine[:, None], c)
         front = axis == 2
-        ink = text_at("FRAGILE", right, up, (0.0, -0.075), 0.072) * front
+        ink = text_at("FRAGILE", right, up, (0.0, -0.070), 0.098, 0.059) * front
         for x in (-0.15, -0.10):
             stem = (np.abs(right - x) < 0.007) & (up > 0.045) & (up < 0.10)
             head = (np.abs(right - x) < 0.9 * (0.128 - up)) & (up > 0.098) & (up < 0.128)
             base = (np.abs(right + 0.125) < 0.05) & (np.abs(up - 0.034) < 0.004)
             ink = np.maximum(ink, (stem | head | base) * front)
-        ink = np.maximum(ink, text_at("ATTIC", right, up, (0.09, 0.075), 0.052) * front)
-        ink = np.maximum(ink, text_at("BOOKS", right, up, (0.0, 0.0), 0.075) * (axis == 0))
-        worn = smoothstep(-0.75, -0.45, fbm(p * 40, 3, 7))
+        ink = np.maximum(ink, text_at("ATTIC", right, up, (0.083, 0.080), 0.090, 0.052) * front)
+        ink = np.maximum(ink, text_at("BOOKS", right, up, (0.0, 0.0), 0.105, 0.060) * (axis == 0))
+        worn = smoothstep(-0.9, -0.6, fbm(p * 40, 3, 7))
         c = mix(c, srgb(INK), 0.85 * ink * worn)
         return scuffed(c, p, size, "d8bd92")
 
     mesh = beveled_box(size, 0.004)
-    return [Surface("cardboard", mesh, colour_at, 0.0078, uniform=True)]
+    up = np.abs(face_normals(mesh)[:, 1]) > 0.9
+    flaps, sides = (Mesh(mesh.vertices, mesh.faces[which]) for which in (up, ~up))
+    return [
+        Surface("cardboard sides", sides, colour_at, 0.0056, uniform=True),  # fine enough for letters
+        Surface("cardboard flaps", flaps, colour_at, 0.0096, uniform=True),
+    ]
 
 
 def scuffed(c: np.ndarray, p: np.ndarray, size, bare: str, width: float = 0.009) -> np.ndarray:
@@ -174,14 +181,14 @@ def crate() -> list[Surface]:
     along = wood(tones, axis=0, board=0.11, across=1, seed=21)
 
     def stencilled(p, n):
-        ink = text_at("TOYS", p[:, 0] * np.sign(n[:, 2]), p[:, 1], (0.0, 0.0), 0.085) * (np.abs(n[:, 2]) > 0.7)
+        ink = text_at("TOYS", p[:, 0] * np.sign(n[:, 2]), p[:, 1], (0.0, 0.0), 0.120, 0.085) * (np.abs(n[:, 2]) > 0.7)
         c = along(p, n)
         nail = (np.abs(np.abs(p[:, 0]) - (w / 2 - 0.016)) < 0.0035) & (np.abs((p[:, 1] / 0.05) % 1 - 0.5) < 0.07)
         c = np.where(nail[:, None], srgb("3a3632"), c)
-        return mix(c, srgb("2b2622"), 0.8 * ink * smoothstep(-0.75, -0.4, fbm(p * 60, 3, 23)))
+        return mix(c, srgb("2b2622"), 0.85 * ink * smoothstep(-0.9, -0.6, fbm(p * 60, 3, 23)))
 
     return [
-        Surface("crate front", join(*slats_x), stencilled, 0.0080, grain=(1, 0, 0), stretch=1.6, uniform=True),
+        Surface("crate front", join(*slats_x), stencilled, 0.0062, grain=(1, 0, 0), stretch=1.2, uniform=True),
         Surface(
             "crate sides",
             join(*slats_z),

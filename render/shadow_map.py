@@ -27,7 +27,7 @@ TAPS = 4  # per side of the filter
 MAX_FILTER_RADIUS = 12.0  # [texels]; wider taps would be too far apart to blend
 OWN_BIAS = 0.004  # [m] of shadows on Gaussians that cannot shadow themselves, however large: feet touch their shadows
 CASTING_FRACTION = 0.5  # of the way to the target, beyond which static Gaussians cast: no lampshade, no ceiling
-STATIC_BIAS = 0.05  # [m] depth behind static Gaussians at which another one is surely in their shadow
+STATIC_BIAS = 0.02  # [m] depth behind static Gaussians, as thin as a table top, at which another is in their shadow
 # Parts of a tile's splats that are drawn side by side: seen from the light, most bodies are in a few tiles of the map.
 SEGMENTS = {"cpu": 1, "cuda": 16}
 RESOLUTION = {"cpu": 256, "cuda": 512}  # [texels] of a side; the filter hides all but 57 dB of the difference

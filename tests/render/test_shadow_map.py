@@ -85,6 +85,22 @@ def test_the_floor_under_a_small_foot_is_dark_however_coarse_its_gaussians_are(t
     np.testing.assert_allclose(light[away > 0.05], 1, atol=1e-3)
 
 
+def test_what_lies_on_a_table_does_not_darken_what_is_under_its_edge(ti_cpu):
+    """A ball on a sheet, and another sheet 6 cm below it, which was in the upper one's shadow before."""
+    from render.shadow_map import ShadowMap
+    from render.splats import Splats
+
+    top, under = sheet(0.8, 0.0, 0.02), sheet(0.5, -0.06, 0.02)
+    splats = Splats(concatenate([top, under, ball([0.0, 0.05, 0.0], 0.05, 400)]))
+    shadow = ShadowMap(splats, LIGHT, len(top) + len(under))
+    shadow.cast()
+    light = splats.visibility.to_numpy()
+    shadow.destroy()
+    splats.destroy()
+    assert light[: len(top)].min() == pytest.approx(1 - LIGHT.strength, abs=0.02)
+    np.testing.assert_allclose(light[len(top) : len(top) + len(under)], 1, atol=0.02)
+
+
 def test_the_edge_is_as_soft_as_asked(stage):
     """More softness, more Gaussians in half shade."""
     shares = []

@@ -75,7 +75,11 @@ def limbs(side: str, at: dict[str, np.ndarray]) -> list[Surface]:
     skin = plain(SKIN, 0.02, 0.05, 503)
     inner = shoulder * [0.60, 1.0, 1.0] - [0, 0.010 * HEIGHT, 0]
     start = shoulder - [0, 0.010 * HEIGHT, 0]
-    arm = limb([inner, start, elbow, wrist, wrist + 0.2 * (hand - wrist)], [0.022, 0.029, 0.022, 0.0155, 0.014])
+    biceps, forearm = start + 0.45 * (elbow - start), elbow + 0.28 * (wrist - elbow)
+    arm = limb(  # thinnest at elbow and wrist
+        [inner, start, biceps, elbow, forearm, wrist, wrist + 0.2 * (hand - wrist)],
+        [0.022, 0.028, 0.0265, 0.0185, 0.0230, 0.0145, 0.014],
+    )
     sleeve = superellipsoid(HEIGHT * np.array([0.092, 0.094, 0.088]), 0.9, 20)
     middle = shoulder + 0.10 * (elbow - shoulder)
     puff = cloth("f4ead8", 0.006, 0.10, 0.05, 505)
@@ -157,19 +161,20 @@ def head(centre: np.ndarray) -> list[Surface]:
     line(
         "brow",
         0.0115 + 0.026 * u,
-        0.0345 + 0.0040 * arch - 0.004 * u,  # higher towards the nose: lower there looks angry
-        0.0005 + 0.0011 * np.sin(np.pi * u**0.7),
-        "5a3018",
+        0.0340 + 0.0058 * arch - 0.005 * u,  # higher towards the nose: lower there looks angry
+        0.0006 + 0.0011 * np.sin(np.pi * u**0.7),
+        "7a4a2a",
     )
-    line("lash", 0.0115 + 0.026 * u, 0.0085 + 0.0088 * arch + 0.0015 * u, 0.0005 + 0.0004 * arch, "2a140c", 0.0022)
+    a = np.pi * (0.86 - 0.80 * u)  # along the eye's upper rim, from the nose outwards
+    line("lash", 0.0235 + 0.0128 * np.cos(a), 0.006 + 0.0120 * np.sin(a), 0.0005 + 0.0005 * u, "3a2014", 0.0022)
     mouth = np.linspace(0, 1, 12)
-    half = 0.0185 * mouth
-    smile = 0.0075 * mouth**2
-    line("upper lip", half, -0.0350 + smile - 0.002 * mouth, 0.0022 * np.sqrt(1.02 - mouth), "b8202e", 0.0)
-    line("lower lip", 0.9 * half, -0.0395 + smile, 0.0027 * np.sqrt(1.02 - mouth), "cc3440", 0.0)
+    half = 0.0205 * mouth
+    smile = 0.0110 * mouth**2
+    line("upper lip", half, -0.0365 + smile - 0.001 * mouth, 0.0019 * np.sqrt(1.02 - mouth), "c4424a", 0.0)
+    line("lower lip", 0.9 * half, -0.0402 + smile, 0.0024 * np.sqrt(1.02 - mouth), "d8606a", 0.0)
     for s in (-1, 1):
-        at = np.array([0.0235 * s, 0.006, _front(np.array(0.0235), np.array(0.006)) - 0.0062])
-        ball("eye", (0.0235, 0.0225, 0.0170), at, _eye(centre + h * at, h), 0.0017, 16)
+        at = np.array([0.0235 * s, 0.006, _front(np.array(0.0235), np.array(0.006)) - 0.0042])
+        ball("eye", (0.0235, 0.0225, 0.0170), at, _eye(centre + h * at, h), 0.0013, 16)
         ball("ear", (0.012, 0.028, 0.020), (0.0535 * s, -0.006, -0.004), SKIN)
         ball("earring", (0.011, 0.011, 0.011), (0.0560 * s, -0.027, 0.000), GOLD, 0.0028)
         ball("bun", (0.050, 0.050, 0.050), (0.020 * s, 0.050, -0.056), _strands(centre, 0.9), 0.0042)
@@ -214,7 +219,7 @@ def _face(centre: np.ndarray) -> Colour:
         x, y, z = np.abs(q[:, 0]), q[:, 1], q[:, 2]
         front = z > 0.0
         c = skin(p, n)
-        c = mix(c, srgb("e0705c"), 0.45 * front * np.exp(-(((x - 0.032) / 0.013) ** 2 + ((y + 0.020) / 0.010) ** 2)))
+        c = mix(c, srgb("e0705c"), 0.6 * front * np.exp(-(((x - 0.031) / 0.013) ** 2 + ((y + 0.020) / 0.011) ** 2)))
         lid = np.hypot((x - 0.0235) / 0.0150, (y - 0.008) / 0.0150)
         c = mix(c, srgb("b87860"), 0.20 * front * smoothstep(1.25, 0.95, lid))
         covered = (y > _hairline(x, z) + 0.012) | (z < -0.030)
@@ -229,9 +234,9 @@ def _eye(centre: np.ndarray, size: float) -> Colour:
     def colour_at(p, n):
         q = (p - centre) / size
         r = np.hypot(q[:, 0], q[:, 1])
-        c = np.where((r < 0.0078)[:, None], srgb("5c3416"), srgb("f6f2ea"))
-        c = np.where((r < 0.0040)[:, None], srgb("0c0806"), c)
-        glint = np.hypot(q[:, 0] - 0.0022, q[:, 1] - 0.0030) < 0.0017
+        c = np.where((r < 0.0086)[:, None], srgb("6a3e1a"), srgb("f6f2ea"))
+        c = np.where((r < 0.0056)[:, None], srgb("0c0806"), c)
+        glint = np.hypot(q[:, 0] - 0.0032, q[:, 1] - 0.0036) < 0.0014
         return np.where(glint[:, None], srgb("ffffff"), c)
 
     return colour_at

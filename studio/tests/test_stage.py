@@ -11,7 +11,7 @@ from assets.asset import Asset
 from core.tetmesh import vertex_components
 from prepare.rig.retargeting import BONES
 from scenes import just_dance
-from studio.dancer.choreography import dance_rig
+from studio.dancer.choreography import ARMS, dance_rig
 from studio.dancer.garments import ponytail, skirt
 from studio.dancer.skeleton import HEIGHT, joint_positions
 from studio.stage import hall_walls, house, prop_tables, stage_lights
@@ -96,6 +96,21 @@ def test_swept_cages_fill_their_volume():
     sheet = sheet_cage(inner, outer)
     sheet.check("sheet")
     assert_allclose(sheet.volumes().sum(), np.pi * (0.5**2 - 0.4**2), rtol=0.01)
+
+
+def test_the_shipped_dancer_stands_on_her_soles_and_her_legs_are_alike():
+    asset = Asset.load(SHIPPED / "dancer.h5")
+    assert abs(asset.gaussians.means[:, 1].min()) < 0.004 and abs(asset.cage.vertices[:, 1].min()) < 0.004
+    motion = asset.animation
+    for joint in ("knee", "ankle"):
+        below = np.isin(motion.joints[:, 0], [motion.names.index(f"{side}_{joint}") for side in ("left", "right")])
+        assert below.sum() > 20 and motion.driven[below].all()
+
+
+def test_the_dancers_arms_bend_at_the_elbow():
+    """By more than 50 degrees where they are lifted."""
+    bends = [np.degrees(np.arccos(np.dot(*(np.array(d) / np.linalg.norm(d) for d in ARMS[k])))) for k in ("side", "up")]
+    assert min(bends) > 50
 
 
 def test_the_shipped_dancer_wears_a_skirt_and_a_ponytail():

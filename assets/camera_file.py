@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from assets.file_access import read_json, write_json
 from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
-from core.typed import field_types, from_plain
+from core.typed import Range, Shape, field_types, from_plain
 
 SIZE_MAX = 64 << 20  # [bytes]: some 100,000 cameras
 
@@ -26,6 +28,36 @@ def read_cameras(path: str | Path) -> list[Camera]:
     if len({(c.width, c.height) for c in cameras}) > 1:
         raise BadInput(f"{path}: the cameras differ in size")
     return cameras
+
+
+@dataclass(frozen=True)
+class TrainedCamera:
+    """An entry of a trainer's cameras.json, camera-to-world."""
+
+    position: Annotated[np.ndarray, Shape(3), Range(-MAGNITUDE_MAX, MAGNITUDE_MAX)]
+    rotation: Annotated[np.ndarray, Shape(3, 3), Range(-1.01, 1.01)]
+
+
+def cameras_of_splat(splats: Path) -> Path | None:
+    """The cameras.json of the training of a splat file: beside it, or over its point_cloud/iteration_N/."""
+    own = splats.resolve().parent
+    folders = (own, *own.parents[1:2]) if own.parent.name == "point_cloud" else (own,)
+    return next((f / "cameras.json" for f in folders if (f / "cameras.json").is_file()), None)
+
+
+def read_poses(path: Path) -> np.ndarray:
+    """World-to-camera matrices (V, 4, 4) of a trainer's cameras.json, V > 0. Raises BadInput."""
+    items = from_plain(list[dict[str, Any]], read_json(path, SIZE_MAX), str(path))
+    keys = field_types(TrainedCamera)
+    cameras = [from_plain(TrainedCamera, {k: v for k, v in i.items() if k in keys}, str(path)) for i in items]
+    if not cameras:
+        raise BadInput(f"{path}: holds no camera")
+    poses = np.tile(np.eye(4), (len(cameras), 1, 1))
+    for pose, c in zip(poses, cameras, strict=True):
+        if np.abs(c.rotation @ c.rotation.T - np.eye(3)).max() > 1e-3:
+            raise BadInput(f"{path}: the rotation of a camera is not orthonormal")
+        pose[:3, :3], pose[:3, 3] = c.rotation.T, -c.rotation.T @ c.position
+    return poses
 
 
 def write_cameras(path: str | Path, cameras: list[Camera]) -> None:

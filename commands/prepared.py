@@ -6,6 +6,7 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assets.camera_file import cameras_of_splat
 from assets.file_access import file_size
 from assets.hdf5 import open_hdf5
 from assets.library import cached_asset, is_asset
@@ -145,7 +146,9 @@ def body_place(splats: Path, how: Preparation, vertices: int | tuple[int, ...]) 
 
 def environment_place(splats: Path) -> Path:
     """Path in the cache of the environment of a splat file, whether or not it exists yet."""
-    return cached_asset(splats, {"stage": ENVIRONMENT_CACHE_VERSION})
+    known = cameras_of_splat(splats)
+    seen = {} if known is None else {"cameras": hashlib.sha256(known.read_bytes()).hexdigest()}
+    return cached_asset(splats, {"stage": ENVIRONMENT_CACHE_VERSION} | seen)
 
 
 def is_prepared(path: Path, options: PlayOptions, *, room: bool) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.asset import Asset
+from assets.camera_file import cameras_of_splat, read_poses
 from assets.file_access import atomic_write_all
 from assets.formats.ply import write_ply
 from assets.gaussians import Gaussians
@@ -223,7 +224,10 @@ def prepare_environment_file(
     up. Returns all of these files. Raises BadInput, naming the file.
     """
     path, out = Path(path), Path(out)
-    gaussians = read_gaussians(path, report)
+    gaussians, options = read_gaussians(path, report), options or EnvironmentOptions()
+    if options.poses is None and (known := cameras_of_splat(path)) is not None:
+        options = replace(options, poses=read_poses(known))
+        report(f"its cameras are known: {known}")
     with _progress(path, ENVIRONMENT_STEPS, progress) as shown:
         asset, objects = prepare_environment(gaussians, options, progress=shown)
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)

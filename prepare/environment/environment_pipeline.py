@@ -15,12 +15,20 @@ import numpy as np
 from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians, normals_and_areas, robust_bounds
-from assets.orientation import AXES, find_gravity, most_likely, up_probabilities
+from assets.orientation import AXES, find_gravity, most_likely, support_plane, up_of_cameras, up_probabilities
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.planes import LEVEL_COS
+from core.rotation import rotation_between
 from prepare.cleaning import MIN_GAUSSIANS, component_numbers, cut_out
-from prepare.environment.support_planes import SupportPlane, drop_point, standing_eye, support_planes, with_floor_under
+from prepare.environment.support_planes import (
+    EYE_HEIGHT,
+    SupportPlane,
+    drop_point,
+    standing_eye,
+    support_planes,
+    with_floor_under,
+)
 from prepare.environment.surfels import (
     Surfels,
     VoxelGrid,
@@ -45,6 +53,8 @@ MIN_CELL = 0.01  # [m]; below, only the noise of a capture is added
 VOXEL_MARGIN = 4  # voxels around the scene
 PLAUSIBLE_SIZE = (1.5, 60.0)  # [m] largest extent of a room or garden; files outside have arbitrary units
 USUAL_SIZE = 6.0  # [m]
+VIEWERS = 40  # cameras from which surfaces are oriented; more add nothing
+CAMERA_REACH = 4.0  # [m] that a scene extends at most beyond its cameras; the rest is a backdrop
 SIZE_RANGE = (0.5, 500.0)  # [m] that may be asked for
 MAX_HEIGHT = 4.0  # [m] of the grids over the floor
 MIN_HEIGHT = 0.2  # [m] of anything over the floor that was found
@@ -62,12 +72,14 @@ class EnvironmentOptions:
     scale  largest extent [m]; None: the file's if a room could have that, else 6
     cell   spacing [m] of the coarse distance grid; None: as suits the size. Near tables and shelves it is finer
     cut    object ids that are taken out, to become bodies; what they stood on is closed under them
+    poses  world-to-camera matrices (V, 4, 4) of its photographs, if known, which tell what is None of `up` and `scale`
     """
 
     up: str | None = None
     scale: float | None = None
     cell: float | None = None
     cut: tuple[int, ...] = ()
+    poses: np.ndarray | None = None
 
     def check(self) -> None:
         """Raise BadInput for a size that cannot be used."""
@@ -111,10 +123,10 @@ def prepare_environment(
     progress("clean", 0.0)
     main = main_component(gaussians)
     progress("upright", 0.0)
-    level, (low, high), turned = stand_upright(gaussians, main, options)
+    level, (low, high), turned, eyes = stand_upright(gaussians, main, options)
     cut, rest = cut_out(level, options.cut)
     progress("surface", 0.0)
-    surface = orient_surface(rest, low, high, options.cell)
+    surface = orient_surface(rest, low, high, options.cell, eyes[:: -(-len(eyes) // VIEWERS)] if len(eyes) else None)
     progress("planes", 0.0)
     points = surface.surfels.points
     planes = support_planes(*level_surface(surface, low, high))
@@ -122,6 +134,9 @@ def prepare_environment(
     if on.kind == "table":
         planes = with_floor_under(planes, on)
     eye = standing_eye(planes[0], drop, on, points, surface.voxels)
+    if len(eyes):  # as far from the drop as most
+        away = np.linalg.norm(eyes - drop, axis=1)
+        eye = eyes[np.abs(away - np.median(away)).argmin()]
     progress("distance", 0.0)
     grid, fine = distance_grids(surface, planes, fine_boxes(surface, planes, on, drop), progress)
 
@@ -166,8 +181,8 @@ def main_component(gaussians: Gaussians) -> Gaussians:
 
 
 def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOptions) -> tuple:
-    """The scene with its floor at y = 0, in metres; corners (low, high) [m] of its extent, limited in height; and how
-    it was turned and scaled, for the provenance.
+    """The scene with its floor at y = 0, in metres; corners (low, high) [m] of its extent, limited in height; how it
+    was turned and scaled, for the provenance; and its cameras' places (V, 3) [m], none if they tell nothing.
 
     main  its Gaussians that are sure to belong to it
     """
@@ -176,13 +191,25 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     chances = up_probabilities(main) if options.up is None else {options.up: 1.0}
     up, _ = most_likely(chances)
     floor, rotation = find_gravity(main.means.astype(np.float64), normals, weights, up)
+    eyes, seen = np.zeros((0, 3)), None
+    if options.poses is not None and options.up is None:
+        eyes = -np.einsum("vij,vi->vj", options.poses[:, :3, :3], options.poses[:, :3, 3])
+        seen = support_plane(main, eyes, *up_of_cameras(options.poses))
+    if seen is not None:
+        up = max(AXES, key=lambda axis: float(AXES[axis] @ seen[0]))
+        floor, rotation, chances = seen[1], rotation_between(seen[0], (0.0, 1.0, 0.0)), {up: 1.0}
     level = main.means.astype(np.float64) @ rotation.T
     low, high = robust_bounds(level)
     longest = float((high - low).max())
     size = options.scale or (longest if PLAUSIBLE_SIZE[0] <= longest <= PLAUSIBLE_SIZE[1] else USUAL_SIZE)
+    if seen is not None and options.scale is None:  # a standing person took the photographs
+        size = longest * EYE_HEIGHT / (np.median(eyes @ seen[0]) - floor)
     factor = size / longest
     shift = -factor * np.array([0.0, floor, 0.0])
     low, high = factor * low + shift, factor * high + shift
+    eyes = factor * eyes @ rotation.T + shift if seen is not None else eyes[:0]
+    if len(eyes):
+        low, high = np.maximum(low, eyes.min(0) - CAMERA_REACH), np.minimum(high, eyes.max(0) + CAMERA_REACH)
     high[1] = min(high[1], MAX_HEIGHT)
     low[1] = max(low[1], -BELOW_FLOOR)
     if high[1] < MIN_HEIGHT:
@@ -195,7 +222,7 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
         "size": size,
         "metres_per_unit": factor,
     }
-    return gaussians.transformed(rotation, shift, factor), (low, high), turned
+    return gaussians.transformed(rotation, shift, factor), (low, high), turned, eyes
 
 
 def orient_surface(

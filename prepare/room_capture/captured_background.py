@@ -18,6 +18,7 @@ from core.camera import Camera
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import (
     BELOW_FLOOR,
+    VIEWERS,
     distance_grids,
     figures,
     fine_boxes,
@@ -28,7 +29,6 @@ from prepare.environment.environment_pipeline import (
 from prepare.environment.support_planes import CELL, EYE_HEIGHT, SupportPlane, cell_centres, drop_point, support_planes
 from prepare.progress import Progress
 
-VIEWERS = 40  # cameras from which surfaces are oriented; more add nothing
 AROUND_CAMERAS = 0.6  # [m] the room extends at least this far beyond the outermost camera
 SHOWN = 1.0, 99.0  # percentiles of what the pictures show that bound the room
 REACH = 4.0  # [m] the room extends at most this far beyond the cameras; the rest is a backdrop

@@ -1,5 +1,6 @@
 """Rooms and gardens become environments: the floor, the tables, the sign of the distance, and a dropped ball."""
 
+import json
 from dataclasses import replace
 from functools import cache
 
@@ -89,6 +90,31 @@ def test_the_scene_stands_upright(scene):
     r = 2.4 if name == "room" else 3.0
     floor = np.array([[x, 0, z, 1] for x in (-r, r) for z in (-1.9, 1.9)]) @ matrix
     assert np.abs(floor[:, 1]).max() < 0.01
+
+
+def test_a_garden_whose_cameras_are_known_has_their_scale_and_is_seen_from_them(ti_cpu, tmp_path):
+    """A trainer's cameras.json over point_cloud/iteration_N/, in a frame three times too large and upside down."""
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    eyes = np.stack([2.2 * np.sin(angle), np.full(12, 1.5), 2.2 * np.cos(angle)], 1)
+    spin, shift, units = LEANING, np.array([3.0, -1.0, 2.0]), 3.0
+    ahead = np.array([0.0, 0.7, 0.0]) - eyes
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    right = np.cross(ahead, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    axes = np.stack([right, np.cross(ahead, right), ahead], 2)  # camera to world, +y down
+    folder = tmp_path / "point_cloud" / "iteration_7000"
+    folder.mkdir(parents=True)
+    write_gaussians(folder / "point_cloud.ply", garden().transformed(spin, shift, units))
+    entries = [
+        {"id": k, "position": (units * spin @ x + shift).tolist(), "rotation": (spin @ a).tolist()}
+        for k, (x, a) in enumerate(zip(eyes, axes, strict=True))
+    ]
+    (tmp_path / "cameras.json").write_text(json.dumps(entries))
+    prepare_environment_file(folder / "point_cloud.ply", tmp_path / "garden.h5", EnvironmentOptions(cell=0.1))
+    asset = Asset.load(tmp_path / "garden.h5")
+    assert_allclose(asset.provenance["metres_per_unit"], 1 / units, rtol=0.03)
+    eye, drop = (np.array(p) for p in (asset.environment.eye_position, asset.environment.drop_point))
+    assert abs(eye[1] - 1.5) < 0.05 and 1.4 < np.hypot(*(eye - drop)[[0, 2]]) < 3.0
 
 
 def test_tables_and_shelves_are_found(scene):

@@ -56,6 +56,7 @@ def put(file: h5py.File, name: str, values, **options) -> None:
     try:
         data = file.create_dataset(f"{name}~", data=values, **options)
     except (TypeError, OSError):  # texts or references that were mutated before
+        file.pop(f"{name}~", None)
         return
     del file[name]
     file.move(f"{name}~", name)

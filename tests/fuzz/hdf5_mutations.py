@@ -160,7 +160,8 @@ def change_node(rng: np.random.Generator, file: h5py.File) -> None:
         return
     if kind == 2:
         if is_group:
-            file[name]["round"] = file["/"]
+            if "round" not in file[name]:
+                file[name]["round"] = file["/"]
         return
     del file[name]
     match kind:

@@ -2,17 +2,51 @@
 
 A loop over n * lane_count() indices w gives work w // lanes to neighbouring threads of number w % lanes each. All of
 them must reach the functions here together.
+
+A CPU's threads share a loop too: Taichi 1.7.4 gives each an equal run of its steps, whatever its `block_dim`, but no
+fewer than RUN, and a thread that has done its own takes no other's. So `dealt` mixes what takes time with what does
+not, and a loop of few long steps has RUN times as many, of which `step // RUN` where `begins(step)` are the work.
 """
 
 import taichi as ti
 
 WARP = 32
+RUN = 512  # steps of a loop, the fewest that a thread of a CPU takes
+DEALT = 64  # elements that are dealt at once: neighbours in memory
 ALL = 0xFFFFFFFF  # mask of a warp
 
 
 def lane_count() -> int:
     """Number of lanes on the device that Taichi runs on."""
     return WARP if ti.lang.impl.current_cfg().arch == ti.cuda else 1
+
+
+def sharers() -> int:
+    """Number of parts in which the threads of the CPU share a loop, at most 8; 1 on a GPU."""
+    cfg = ti.lang.impl.current_cfg()
+    return 1 if cfg.arch == ti.cuda else min(cfg.cpu_max_num_threads, 8)
+
+
+@ti.func
+def dealt(step, n):
+    """The element of a step of a loop over n: on a CPU each thread's run holds every so many blocks of elements."""
+    element = step
+    parts = ti.static(sharers())
+    if ti.static(parts > 1):
+        run = n // (parts * DEALT) * DEALT
+        if step < parts * run:
+            part = 0
+            for k in ti.static(range(1, parts)):
+                part += ti.cast(step >= k * run, ti.i32)
+            own = step - part * run
+            element = own + (ti.raw_div(own, DEALT) * (parts - 1) + part) * DEALT
+    return element
+
+
+@ti.func
+def begins(step):
+    """True for the steps that do the work of a loop of few long ones."""
+    return step % RUN == 0
 
 
 @ti.func

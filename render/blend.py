@@ -10,7 +10,7 @@ bits, so that splats outside of its cell cost it nothing.
 
 import taichi as ti
 
-from core.lanes import first_of
+from core.lanes import dealt, first_of
 from render.binning import TileBins
 from render.footprint import CUTOFF_BITS, horizontal_extent
 from render.radix_sort import value_of
@@ -154,8 +154,9 @@ class Blend:
         A finished pixel keeps its transmittance negated: no product of it can pass the test against
         MIN_TRANSMITTANCE again, and the loop over a row needs no branch.
         """
-        ti.loop_config(block_dim=4)
-        for block in range(self.projection.views * self.bins.tiles_per_view() * self.segments):
+        blocks = self.projection.views * self.bins.tiles_per_view() * self.segments
+        for k in range(blocks):
+            block = dealt(k, blocks)
             tile, s = block // self.segments, block % self.segments
             if not self.projection.draws(tile):
                 continue

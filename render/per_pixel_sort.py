@@ -7,7 +7,7 @@ order by fewer places than the buffer has are put right.             Radl 2024 (
 
 import taichi as ti
 
-from core.lanes import first_of
+from core.lanes import dealt, first_of
 from render.binning import TileBins
 from render.blend import (
     ACROSS,
@@ -68,8 +68,9 @@ class PerPixelSort:
         misses a pixel enters with EMPTY_INV_DEPTH and leaves at once; the last one is followed by `buffer_size` empty
         splats behind all others.
         """
-        ti.loop_config(block_dim=4 * CPU_TILE)
-        for line in range(self.projection.views * self.bins.tiles_per_view() * CPU_TILE):
+        lines = self.projection.views * self.bins.tiles_per_view() * CPU_TILE
+        for k in range(lines):
+            line = dealt(k, lines)
             tile, row = line // CPU_TILE, line % CPU_TILE
             if not self.projection.draws(tile):
                 continue

@@ -3,6 +3,7 @@
 import taichi as ti
 
 from core.fields import FieldGroup
+from core.lanes import RUN, begins
 
 MAX_SUM = (1 << 30) - 1  # sums saturate here: two of them still fit an i32
 CPU_CHUNKS = 16  # more than a small machine's cores, few enough to scan one after the other
@@ -78,8 +79,10 @@ class PrefixSum:
 
     @ti.func
     def _exclusive_cpu(self, values: ti.template(), count: ti.template(), offsets: ti.template()):
-        ti.loop_config(block_dim=1)
-        for c in range(self.chunks):
+        for step in range(self.chunks * RUN):
+            if not begins(step):
+                continue
+            c = step // RUN
             length = (count[None] + self.chunks - 1) // self.chunks
             total = 0
             for i in range(c * length, ti.min((c + 1) * length, count[None])):
@@ -92,8 +95,10 @@ class PrefixSum:
             self.sums[c] = running
             running = saturating_add(running, own)
         self.total[None] = running
-        ti.loop_config(block_dim=1)
-        for c in range(self.chunks):
+        for step in range(self.chunks * RUN):
+            if not begins(step):
+                continue
+            c = step // RUN
             length = (count[None] + self.chunks - 1) // self.chunks
             before = self.sums[c]
             for i in range(c * length, ti.min((c + 1) * length, count[None])):

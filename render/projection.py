@@ -7,6 +7,7 @@ import taichi as ti
 
 from core.camera import Camera
 from core.fields import FieldGroup
+from core.lanes import dealt
 from render import SORTS
 from render.footprint import (
     CUTOFF_BITS,
@@ -129,7 +130,8 @@ class Projection:
         """
         if ti.static(self.compares):
             self.changed.begin(whole)
-        for g in range(begin, end):
+        for k in range(end - begin):
+            g = begin + dealt(k, end - begin)
             key, c = ti.u32(DROPPED), vec3(0.0)
             if ti.static(self.keeps) and g < kept:
                 key, c = self.kept_key[g], self.kept_color[g]

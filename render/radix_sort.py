@@ -3,6 +3,7 @@
 import taichi as ti
 
 from core.fields import FieldGroup
+from core.lanes import RUN, begins
 from render.prefix_sum import BLOCK, CPU_CHUNKS, SHARED_WORDS, block_exclusive
 
 DROPPED = 0xFFFFFFFF  # key of an item that is to be left out
@@ -106,8 +107,10 @@ class RadixSort:
 
     @ti.func
     def _count_cpu(self, p: ti.template()):
-        ti.loop_config(block_dim=1)
-        for b in range(self.blocks):
+        for step in range(self.blocks * RUN):
+            if not begins(step):
+                continue
+            b = step // RUN
             for d in range(self.buckets):
                 self.position[b * self.buckets + d] = 0
             span = (self._length(p) + self.blocks - 1) // self.blocks
@@ -131,8 +134,10 @@ class RadixSort:
 
     @ti.func
     def _move_cpu(self, p: ti.template()):
-        ti.loop_config(block_dim=1)
-        for b in range(self.blocks):
+        for step in range(self.blocks * RUN):
+            if not begins(step):
+                continue
+            b = step // RUN
             span = (self._length(p) + self.blocks - 1) // self.blocks
             for i in range(b * span, ti.min((b + 1) * span, self._length(p))):
                 item = self.item[p % 2][i]

@@ -10,7 +10,7 @@ import taichi as ti
 
 from core.camera import Camera, look_at
 from core.fields import FieldGroup
-from core.lanes import lane_count, max_lanes
+from core.lanes import dealt, lane_count, max_lanes
 from core.vocabulary import Light
 from render.footprint import clamp
 from render.projection import NEAR_PLANE, camera_values, vec3, vec4
@@ -25,6 +25,8 @@ DIRECTIONAL_DISTANCE = 40.0  # [scene radii] of a directional light: its rays di
 CAPTURED_WIDTHS = (1.0, 2.0, 4.0, 8.0)
 TAPS = 4  # per side of the filter
 MAX_FILTER_RADIUS = 12.0  # [texels]; wider taps would be too far apart to blend
+CELL = 16  # [texels] of a side of a cell; the filter reaches 3/4 of MAX_FILTER_RADIUS, into the next one at most
+NO_CASTER = 1e9  # [m]
 OWN_BIAS = 0.004  # [m] of shadows on Gaussians that cannot shadow themselves, however large: feet touch their shadows
 CASTING_FRACTION = 0.5  # of the way to the target, beyond which static Gaussians cast: no lampshade, no ceiling
 STATIC_BIAS = 0.02  # [m] depth behind static Gaussians, as thin as a table top, at which another is in their shadow
@@ -43,6 +45,9 @@ class DepthMap:
         self.fields = f = FieldGroup()
         self.texel = f.vector(2, resolution, resolution, n=2)
         self.segment = f.vector(segments, resolution, resolution, n=2)  # sum w z [m], coverage
+        self.cells = resolution // CELL
+        self.cell = f.scalar(2, self.cells, self.cells)  # depth of its nearest caster [m]
+        self.nearest = f.scalar(2, self.cells, self.cells)  # the same with the cells around it
         f.build()
 
     @ti.func
@@ -59,6 +64,19 @@ class DepthMap:
                 depth += T * part[0]
                 T *= 1.0 - part[1]
             self.texel[layer, y, x] = ti.math.vec2(depth / ti.max(1.0 - T, 1e-10), 1.0 - T)
+        for y, x in ti.ndrange(self.cells, self.cells):
+            depth = NO_CASTER
+            for i, j in ti.ndrange(CELL, CELL):
+                texel = self.texel[layer, y * CELL + i, x * CELL + j]
+                if texel[1] > 0.0:
+                    depth = ti.min(depth, texel[0])
+            self.cell[layer, y, x] = depth
+        for y, x in ti.ndrange(self.cells, self.cells):
+            depth = NO_CASTER
+            for i in range(ti.max(y - 1, 0), ti.min(y + 2, self.cells)):
+                for j in range(ti.max(x - 1, 0), ti.min(x + 2, self.cells)):
+                    depth = ti.min(depth, self.cell[layer, i, j])
+            self.nearest[layer, y, x] = depth
 
 
 @ti.data_oriented
@@ -263,7 +281,8 @@ class ShadowMap:
             if u >= 0 and v >= 0 and u < self.resolution and v < self.resolution:
                 radius = clamp(0.5 * softness * focal / p.z, 1.0, MAX_FILTER_RADIUS)
                 behind = p.z - bias - p.z / focal
-                for i in range(TAPS * TAPS):
+                nearest = self.map.nearest[layer, ti.cast(v, ti.i32) // CELL, ti.cast(u, ti.i32) // CELL]
+                for i in range(TAPS * TAPS if behind > nearest else 0):
                     du, dv = i % TAPS - 0.5 * (TAPS - 1), i // TAPS - 0.5 * (TAPS - 1)
                     column = ti.cast(ti.floor(u + du * radius * (2.0 / TAPS)), ti.i32)
                     row = ti.cast(ti.floor(v + dv * radius * (2.0 / TAPS)), ti.i32)
@@ -302,7 +321,8 @@ class ShadowMap:
     @ti.kernel
     def _receive(self, strength: ti.f32, softness: ti.f32, end: ti.i32):
         """Set the visibility of all Gaussians from the maps."""
-        for g in range(end):
+        for k in range(end):
+            g = dealt(k, end)
             exposed, visibility = self.splats.exposed[g], 1.0
             if g < self.begin:
                 shade = self._shade(DYNAMIC, self.splats.mean[g], softness, OWN_BIAS, OWN_BIAS)

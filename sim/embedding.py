@@ -10,6 +10,7 @@ import taichi as ti
 from assets.gaussians import Gaussians
 from core.errors import BadInput
 from core.fields import FieldGroup, round_up_capacity
+from core.lanes import dealt
 from core.point_location import TetLocator
 from core.quaternion import polar_quaternion
 
@@ -238,7 +239,7 @@ class Embedding:
         `rotation` is the polar rotation of F: it turns the frame in which the SH colour was trained into the world.
         """
         if self.count:
-            self._deform(x, mean, cov, rotation)
+            self._deform(x, mean, cov, rotation, self._starts[-1][0] * SLICE_LANES)
 
     def destroy(self) -> None:
         """Free the device memory."""
@@ -246,7 +247,9 @@ class Embedding:
         self.count = 0
 
     @ti.kernel
-    def _deform(self, x: ti.template(), mean: ti.template(), cov: ti.template(), rotation: ti.template()):
+    def _deform(
+        self, x: ti.template(), mean: ti.template(), cov: ti.template(), rotation: ti.template(), end: ti.i32
+    ):  # fmt: skip
         """F = sum_v (x_v - x_a) g_v^T,  mu = x_a + sum_v m_v (x_v - x_a),  Sigma = s F Sigma_0 F^T,
         s <= 1 such that tr Sigma <= MAX_STRETCH^2 tr Sigma_0.
 
@@ -254,7 +257,8 @@ class Embedding:
         0.07 ms at 4 TB/s. The gathers of x (12 bytes each) hit the L1 cache: a cage is about 100 kB.
         """
         ti.loop_config(block_dim=128)
-        for i in self.target:
+        for k in range(end):
+            i = dealt(k, end)
             g = self.target[i]
             if g >= 0:
                 slice_, lane = i // SLICE_LANES, i % SLICE_LANES

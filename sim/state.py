@@ -16,7 +16,8 @@ The position in the substep in progress is x + dx, and the motion of a vertex in
 Vertices of inverse mass 0 are prescribed and move on with their v.
 
 Loops run over the capacity and test `i < vertex_count[None]`: a range whose end is read from a field costs one more
-launch, and equal capacities let scenes of different sizes share compiled kernels.
+launch, and equal capacities let scenes of different sizes share compiled kernels. Those of the CPU's substeps end at the
+count: it costs nothing there, and what is used of a capacity would be the part of the first thread alone.
 """
 
 import numpy as np
@@ -32,19 +33,23 @@ from sim.time_step import STABILITY_LIMIT
 MAX_LAGGING_STABILITY = 1.0
 MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot; x_lo and v_lo are what float32 does not hold of x and v
 SERIAL_BELOW = 3000  # tets of the first bodies: under this, waking the CPU's worker threads costs more than they save
+FEW_BELOW = 6000  # vertices of the first bodies, of whose loops the same is true
 
 
 @ti.data_oriented
 class State:
     """Fields over vertices V, tets T, surface triangles S (capacities, rounded up) and bodies B; SI units.
 
-    `sizes` is how many of each there are. `serial`: loops are better not spread over threads.
+    `sizes` is how many of each there are. `serial`: loops are better not spread over threads; `few`: those over
+    vertices and contacts are not.
     """
 
     def __init__(self, first: Sizes, capacity: Capacity = Capacity()):
         """Allocate the capacity that `first` and `capacity` ask for; `load` fills it."""
         vertices, tets, triangles = (capacity.sized(n, getattr(first, n)) for n in ("vertices", "tets", "triangles"))
-        self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and first.tets < SERIAL_BELOW
+        on_cpu = ti.lang.impl.current_cfg().arch != ti.cuda
+        self.serial = on_cpu and first.tets < SERIAL_BELOW
+        self.few = on_cpu and first.vertices < FEW_BELOW
         self.V, self.T, self.S = (round_up_capacity(n) for n in (vertices, tets, triangles))
         self.sizes = Sizes(0, 0, 0, 0)
         V, T, S, B = self.V, self.T, self.S, MAX_BODIES

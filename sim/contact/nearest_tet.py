@@ -12,7 +12,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
-from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vector_from_lane, vote
+from core.lanes import dealt, first_of, from_lane, int_from_lane, lane_count, max_lanes, vector_from_lane, vote
 from core.morton import morton_order
 from core.tetmesh import shared_face_pairs
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, SelfCollision, outside_box
@@ -223,7 +223,7 @@ class NearestTets:
         # Few tets meet anything: the others are sorted out first, in a loop of its own that needs few registers
         for k in range(self.ordered_count[None]):
             if self.any_near[None]:
-                self._list_if_nearby(self.order[k], k % self.lanes)
+                self._list_if_nearby(self.order[dealt(k, self.ordered_count[None])], k % self.lanes)
         for k in range(self.nearby_count[None] * self.visitors):
             self._visit(self.nearby[k // self.visitors], k % self.visitors)
         self._set_hosts(constraints, begin)

@@ -331,14 +331,13 @@ def phase_kernels(s: State, integrator, c: Constraint, passes=(ALL_PASSES,)) -> 
         @ti.kernel
         def run():
             if ti.static(phase > 0 and c.max_groups > 0):
-                ti.loop_config(serialize=s.serial)
-                for k in range(c.max_groups * lanes):
-                    if k // lanes < c.group_count():
-                        c.solve_group(phase, k // lanes, k % lanes)
-                        if ti.static(last):
-                            c.release_group(k // lanes)
-            ti.loop_config(serialize=s.serial)
-            for k in range(c.phase_sizes[phase]):
+                ti.loop_config(serialize=s.few)
+                for k in range(c.group_count() * lanes):
+                    c.solve_group(phase, k // lanes, k % lanes)
+                    if ti.static(last):
+                        c.release_group(k // lanes)
+            ti.loop_config(serialize=s.few)
+            for k in range(c.phase_count(ti.static(phase > 0))):
                 c.solve_phase(integrator, ti.static(phase > 0), phase, k)
 
         return run
@@ -355,21 +354,8 @@ def evaluation_kernel(s: State, c: Constraint):
 
     @ti.kernel
     def evaluation():
-        ti.loop_config(serialize=s.serial)
-        for k in range(c.phase_sizes[0]):
+        ti.loop_config(serialize=s.few)
+        for k in range(c.phase_count(0)):
             c.evaluate(k)
 
     return evaluation
-
-
-def block_size(s: State, n: int) -> int | None:
-    """Block size of a loop over n, a power of two: warps on the GPU, two to four blocks for each CPU thread.
-
-    None for a loop that runs serially.
-    """
-    if s.serial:
-        return None
-    cfg = ti.lang.impl.current_cfg()
-    if cfg.arch == ti.cuda:
-        return 128
-    return max(64, 1 << (n // (2 * cfg.cpu_max_num_threads)).bit_length() - 1)

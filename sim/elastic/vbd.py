@@ -27,7 +27,7 @@ from core.errors import BadInput
 from core.fields import FieldGroup, Upload, round_up_capacity
 from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
-from sim.elastic.substep import ALL_PASSES, Constraint, block_size, commit, phase_kernels
+from sim.elastic.substep import ALL_PASSES, Constraint, commit, phase_kernels
 from sim.model import Model, RestShape, stacked
 from sim.reductions import ReductionBlocks
 from sim.state import State
@@ -267,14 +267,14 @@ class VBDSubsteps:
         @ti.kernel
         def begin():
             s.substep_index[None] += 1  # before the loop: its threads read it
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
+            ti.loop_config(serialize=s.few)
+            for i in range(s.vertex_count[None]):
                 if s.awake_vertex(i):
                     self.descent.begin(i, s.dx_predicted[i])
                     self.descent.find_contacts(i)
             for c in ti.static(in_pairs):
-                ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[0])))
-                for k in range(c.phase_sizes[0]):
+                ti.loop_config(serialize=s.few)
+                for k in range(c.phase_count(0)):
                     c.evaluate(k)
 
         return begin
@@ -282,11 +282,10 @@ class VBDSubsteps:
     def _sweep(self):
         s = self.state
         width = round_up_capacity(s.V // 6)  # about the size of a colour; a longer one takes another round
-        block = block_size(s, width)
 
         @ti.kernel
         def sweep(color: ti.i32):
-            ti.loop_config(serialize=s.serial, block_dim=block)
+            ti.loop_config(serialize=s.serial)
             for k in range(width):
                 j = self.color_begin[color] + k
                 while j < self.color_begin[color + 1]:
@@ -306,11 +305,11 @@ class VBDSubsteps:
         def phases():
             for c in ti.static([] if self.descent.has_rigid else in_pairs):
                 for phase in ti.static(range(len(c.phase_sizes))):
-                    ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
-                    for k in range(c.phase_sizes[phase]):
+                    ti.loop_config(serialize=s.few)
+                    for k in range(c.phase_count(phase)):
                         c.solve_phase(self, ti.static(phase > 0), phase, k)
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
+            ti.loop_config(serialize=s.few)
+            for i in range(s.vertex_count[None]):
                 if s.awake_vertex(i):
                     self.descent.push(i)
 
@@ -321,8 +320,8 @@ class VBDSubsteps:
 
         @ti.kernel
         def end():
-            ti.loop_config(serialize=s.serial)
-            for i in range(s.V):
+            ti.loop_config(serialize=s.few)
+            for i in range(s.vertex_count[None]):
                 if s.awake_vertex(i):
                     self.descent.end(i, s.dx[i])
 

@@ -5,6 +5,7 @@ On the CPU a sequence of kernels is recorded once and replayed, on CUDA one kern
 
 import taichi as ti
 
+from core.lanes import dealt
 from sim.elastic.energy import Elasticity
 from sim.elastic.patches import SHARED_WORDS, Patches
 from sim.elastic.substep import (
@@ -12,7 +13,6 @@ from sim.elastic.substep import (
     Constraint,
     PersistentGrid,
     any_active,
-    block_size,
     commit,
     evaluate_candidates,
     evaluation_kernel,
@@ -42,7 +42,6 @@ class XPBDSubsteps:
         self.has_rigid, self.effective_inv_mass = rigid is not None, state.inv_mass
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
-        self.tet_block, self.vertex_block = block_size(state, state.T), block_size(state, state.V)
         self.kernels = self._kernels()
         self.graphs: dict[int, ti.graph.Graph] = {}
 
@@ -65,14 +64,14 @@ class XPBDSubsteps:
     def _begin(self):
         """Loops over tets and vertices. Outermost level of a kernel."""
         s = self.state
-        ti.loop_config(serialize=s.serial, block_dim=self.tet_block)
-        for t in range(s.T):
+        s.substep_index[None] += 1
+        ti.loop_config(serialize=s.serial)
+        for k in range(s.tet_count[None]):
+            t = dealt(k, s.tet_count[None])
             if s.awake_tet(t):
                 self.elasticity.project_tet(t)
-            if t == 0:
-                s.substep_index[None] += 1
-        ti.loop_config(serialize=s.serial, block_dim=self.vertex_block)
-        for i in range(s.V):
+        ti.loop_config(serialize=s.few)
+        for i in range(s.vertex_count[None]):
             if s.awake_vertex(i):
                 d = s.dx[i]
                 if s.inv_mass[i] > 0.0:
@@ -88,8 +87,8 @@ class XPBDSubsteps:
     def _end(self):
         """Loop over vertices. Outermost level of a kernel."""
         s = self.state
-        ti.loop_config(serialize=s.serial, block_dim=self.vertex_block)
-        for i in range(s.V):
+        ti.loop_config(serialize=s.few)
+        for i in range(s.vertex_count[None]):
             if s.awake_vertex(i):
                 d = s.dx[i]
                 if s.inv_mass[i] > 0.0:
@@ -106,8 +105,8 @@ class XPBDSubsteps:
             self._begin()
             for c in ti.static(in_pairs):
                 for phase in ti.static(range(len(c.phase_sizes))):
-                    ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
-                    for k in range(c.phase_count(phase) if ti.static(s.serial) else c.phase_sizes[phase]):
+                    ti.loop_config(serialize=s.few)
+                    for k in range(c.phase_count(phase)):
                         if ti.static(phase == 0):
                             c.evaluate(k)
                         c.solve_phase(self, ti.static(phase > 0), phase, k)

@@ -15,7 +15,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
-from core.lanes import lane_count, rank_lanes, sync_lanes
+from core.lanes import dealt, lane_count, rank_lanes, sync_lanes
 from sim.contact.broad_phase import outside_box
 from sim.contact.narrow_phase import StaticContact
 from sim.contact.response import CONTACT_SLOP
@@ -179,15 +179,17 @@ class RigidBroadPhase:
         self.total[None], self.group_count[None] = 0, 0
         for g in range(GROUPS):
             self.size[g], self.filled[g], self.active[g] = 0, 0, 0
-        for p in range(self.samples.capacity):
+        for k in range(self.samples.capacity):
+            p = dealt(k, self.samples.capacity)
             if p < self.samples.count[None]:
                 n = self.static_shapes.count[None]
-                for k in range(n + self.state.body_count[None]):
-                    self._offer(p, k if k < n else MAX_SHAPES + k - n)
+                for j in range(n + self.state.body_count[None]):
+                    self._offer(p, j if j < n else MAX_SHAPES + j - n)
         self._count_groups()
         self._fill_groups()
         # Of a group only the corners of its lower hull, and what bounces, are left
-        for k in range(self.total[None] * DIRECTIONS):
+        for step in range(self.total[None] * DIRECTIONS):
+            k = dealt(step, self.total[None] * DIRECTIONS)
             e = k // DIRECTIONS
             if self.spare[e] and self._is_corner(e, k % DIRECTIONS):
                 self.spare[e] = 0

@@ -196,7 +196,9 @@ class Asset:
             quantised = _version(file) == QUANTISED
             gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
             objects = file.json("", "objects", tuple[str, ...], default="[]")
-            gaussians = replace(gaussians, objects=objects, sort=file.text("", "sort", default=""))
+            antialias = file.has_attribute("", "antialias") and file.number("", "antialias") == 1
+            sort = file.text("", "sort", default="")
+            gaussians = replace(gaussians, objects=objects, sort=sort, antialias=antialias)
             cage = embedding = None
             if file.has("cage"):
                 tets, surface = (file.indices(f"cage/{name}", (None, n)) for name, n in (("tets", 4), ("surface", 3)))
@@ -238,6 +240,8 @@ class Asset:
                 write_text(file, "objects", json.dumps(self.gaussians.objects))
             if self.gaussians.sort:
                 write_text(file, "sort", self.gaussians.sort)
+            if self.gaussians.antialias:
+                file.attrs["antialias"] = 1
             lossless = [] if quantised else [("gaussians", self.gaussians, ROWS)]
             if self.cage is not None:
                 lossless.append(("cage", self.cage, ("vertices", "tets", "surface")))

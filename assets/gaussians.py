@@ -37,6 +37,7 @@ class Gaussians:
     object_id        uint16, (N,); 0 = background
     objects          names of the objects 1, 2, ...; an object beyond them has no name
     sort             order of blending that they were trained for, one of SORTS, or "" if that is not known
+    antialias        True if they were trained for anti-aliased drawing (Mip-Splatting); they are too thick without
     """
 
     means: np.ndarray
@@ -47,9 +48,12 @@ class Gaussians:
     object_id: np.ndarray
     objects: tuple[str, ...] = ()
     sort: str = ""
+    antialias: bool = False
 
     @classmethod
-    def of(cls, means, quats, log_scales, logit_opacities, sh, object_id=None, objects=(), sort="") -> Gaussians:
+    def of(
+        cls, means, quats, log_scales, logit_opacities, sh, object_id=None, objects=(), sort="", antialias=False
+    ) -> Gaussians:
         """Convert dtypes and normalise quaternions; the inputs must be finite."""
         n = len(means)
         quats = np.asarray(quats, np.float32).reshape(n, 4)
@@ -66,6 +70,7 @@ class Gaussians:
             np.ascontiguousarray(ids).reshape(n),
             tuple(objects),
             sort,
+            antialias,
         )
 
     def __len__(self) -> int:
@@ -111,7 +116,8 @@ class Gaussians:
         quats = multiply_quaternions(quaternions_from_matrices(rotation)[None], self.quats)
         sh = rotate_sh(self.sh, rotation)
         log_scales = self.log_scales + np.log(scale)
-        return Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, self.object_id, self.objects, self.sort)
+        about = self.object_id, self.objects, self.sort, self.antialias
+        return Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, *about)
 
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, unless there are Gaussians and all of them can be drawn."""
@@ -147,7 +153,7 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
     """All Gaussians of the sets, padded to the highest SH degree among them.
 
     Named objects keep their names: those of later sets get other ids where the first set gave theirs away. The ids of
-    a set without names stay. The order of blending is that of most Gaussians.
+    a set without names stay. The order of blending is that of most Gaussians, and so is `antialias`.
     """
     degree = max(g.sh_degree for g in sets)
     sets = [g.with_sh_degree(degree) for g in sets]
@@ -159,7 +165,8 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
             new[1 : len(g.objects) + 1] = [objects.index(name) + 1 for name in g.objects]
             rows["object_id"][k] = new[g.object_id]
     counts = {sort: sum(len(g) for g in sets if g.sort == sort) for sort in ("", *SORTS)}
-    return Gaussians(*(np.concatenate(rows[name]) for name in ROWS), objects, max(counts, key=counts.get))
+    antialias = 2 * sum(len(g) for g in sets if g.antialias) > sum(map(len, sets))
+    return Gaussians(*(np.concatenate(rows[name]) for name in ROWS), objects, max(counts, key=counts.get), antialias)
 
 
 def drawable(means, quats, log_scales, logit_opacities, sh) -> np.ndarray:
@@ -174,9 +181,11 @@ def drawable(means, quats, log_scales, logit_opacities, sh) -> np.ndarray:
 
 
 def drawable_gaussians(
-    path: Path, means, quats, log_scales, logit_opacities, sh, report: Report, *, object_id=None, objects=(), sort=""
+    path: Path, means, quats, log_scales, logit_opacities, sh, report: Report, *, object_id=None, **about
 ) -> Gaussians:
     """Gaussians of the rows of a file that can be drawn; `report` takes a line if others were dropped.
+
+    about  `objects`, `sort` and `antialias` of Gaussians.
 
     Raises BadInput, naming `path`, if none can be drawn.
     """
@@ -194,7 +203,7 @@ def drawable_gaussians(
         report(f"{path}: dropped {dropped} of {n} Gaussians that are not finite or have no rotation")
         columns = [c[keep] for c in columns]
     columns[1] = columns[1] / np.linalg.norm(columns[1], axis=1, keepdims=True)
-    return Gaussians.of(*columns, objects, sort)
+    return Gaussians.of(*columns, **about)
 
 
 def robust_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

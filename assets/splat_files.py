@@ -77,7 +77,7 @@ READERS = {
 COMPRESSED = ".compressed.ply"  # both suffixes, as PlayCanvas's tools name it; recognised by content on reading
 WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}
 KEEP_OBJECTS = (".ply", ".h5")
-KEEP_SORT = (".ply", COMPRESSED, ".spz", ".h5")
+KEEP_TRAINED = (".ply", COMPRESSED, ".spz", ".h5")
 MAGICS = {
     b"ply\n": ".ply",
     b"ply\r": ".ply",
@@ -130,11 +130,13 @@ def kind_to_write(path: str | Path) -> str:
 def write_gaussians(path: str | Path, g: Gaussians, report: Report = print) -> None:
     """Write a .ply, .compressed.ply, .spz or .splat, in one step: either the whole file or none. Raises BadInput.
 
-    `report` takes a line if the format keeps no objects and there are some, or not the order of blending.
+    `report` takes a line if the format keeps no objects and there are some, or not how they were trained.
     """
     kind = kind_to_write(path)
     WRITERS[kind](path, g)
     if kind not in KEEP_OBJECTS and g.object_id.any():
         report(f"{path}: {kind} keeps no object ids; {' and '.join(KEEP_OBJECTS)} do")
-    if kind not in KEEP_SORT and g.sort not in ("", "z"):
+    if kind not in KEEP_TRAINED and g.antialias:
+        report(f"{path}: trained for anti-aliased drawing, which {kind} does not keep (render --antialias draws it so)")
+    if kind not in KEEP_TRAINED and g.sort not in ("", "z"):
         report(f"{path}: trained for the order {g.sort}, which {kind} does not keep (--sort {g.sort} plays it so)")

@@ -47,7 +47,7 @@ class RenderOptions(cli.Options):
     frames: cli.Count = cli.option("N", "turntable: number of pictures (default 180)", 180)
     elevation: cli.Elevation = cli.option("DEG", "turntable: elevation of the camera (default 15)", 15.0)
     sort: cli.Sort | None = cli.sort_option(DEFAULT_SORT)
-    antialias: bool = cli.switch("opacity compensation of Mip-Splatting")
+    antialias: bool = cli.switch("opacity compensation of Mip-Splatting (default: as the file was trained)")
     arch: cli.Arch | None = cli.arch_option()
 
 
@@ -75,14 +75,17 @@ def draw_pictures(options: RenderOptions) -> None:
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
     cameras = read_cameras(options.camera)
     gaussians = read_gaussians(options.splats)
-    sort = options.sort or gaussians.sort or DEFAULT_SORT
+    how = {
+        "antialias": options.antialias or gaussians.antialias,
+        "sort": options.sort or gaussians.sort or DEFAULT_SORT,
+    }
     start = time.perf_counter()
     if out.suffix.lower() == ".npz":
-        images = draw_float(gaussians, cameras, antialias=options.antialias, sort=sort)
+        images = draw_float(gaussians, cameras, **how)
         with atomic_write(out) as beside, open(beside, "wb") as file:
             np.savez_compressed(file, **images)
     else:
-        for k, picture in enumerate(draw_rgba8(gaussians, cameras, antialias=options.antialias, sort=sort)):
+        for k, picture in enumerate(draw_rgba8(gaussians, cameras, **how)):
             save_picture(out if len(cameras) == 1 else out.with_name(f"{out.stem}_{k:03d}{out.suffix}"), picture)
     pixels = f"{cameras[0].width}x{cameras[0].height}"
     count = "1 picture" if len(cameras) == 1 else f"{len(cameras)} pictures"
@@ -139,7 +142,7 @@ def film_turntable(options: RenderOptions) -> None:
             Splats(gaussians),
             width,
             height,
-            antialias=options.antialias,
+            antialias=options.antialias or gaussians.antialias,
             sort=options.sort or gaussians.sort or DEFAULT_SORT,
             background=BACKGROUND,
         )

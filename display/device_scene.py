@@ -114,6 +114,7 @@ class DeviceScene:
             *picture_size,
             views=views,
             background=scene.background,
+            antialias=gaussians.antialias,
             sort=sort or gaussians.sort or MOVING_SORT,
             outputs="deep" if depth else "rgba8",
             still=len(still),

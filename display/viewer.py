@@ -41,14 +41,14 @@ class SplatWorld(WorldView):
         self.scene, self.timings, self.splats, self.picture_size = scene, Timings(), splats, size
         self.cameras: list[Camera] = []  # of the last picture
         self._shown: tuple | None = None  # camera of the picture; None if it is outdated
-        self._background, self._antialias, self._notice = scene.background, antialias, Notice()
-        self._draw_in_order(sort)
+        self._background, self._notice = scene.background, Notice()
+        self._draw_with(sort, antialias)
 
-    def _draw_in_order(self, sort: str | None) -> None:
+    def _draw_with(self, sort: str | None, antialias: bool) -> None:
         from render.renderer import Renderer
 
         self.renderer = Renderer(
-            self.splats, *self.picture_size, background=self._background, sort=sort, antialias=self._antialias
+            self.splats, *self.picture_size, background=self._background, sort=sort, antialias=antialias
         )
 
     def resize(self, width: int, height: int) -> None:
@@ -132,8 +132,8 @@ class Viewer(SplatWorld):
     ):
         self.axes, self._files, self._index, self._out, self._sort = False, list(files), 0, out, sort
         splats = self._splats_for(max(len(f.gaussians) for f in files), max(f.gaussians.sh.shape[1] for f in files))
-        super().__init__(splats, scene, size, sort=self._order)
-        self._drawn_order = self._order
+        self._drawn_with = self._order, self.file.gaussians.antialias
+        super().__init__(splats, scene, size, sort=self._order, antialias=self.file.gaussians.antialias)
         self._show_crop()
         self.up_choices = self._choices()
 
@@ -238,16 +238,17 @@ class Viewer(SplatWorld):
         """Bring the file to the device: into the fields that are there, if it fits."""
         count, coefficients = len(self.file.gaussians), self.file.gaussians.sh.shape[1]
         fits = count <= self.splats.capacity and coefficients <= self._coefficients
-        if not fits or self._order != self._drawn_order:
+        drawn_with = self._order, self.file.gaussians.antialias
+        if not fits or drawn_with != self._drawn_with:
             self.renderer.destroy()
         if fits:
             self.splats.replace(self._padded(self.file.gaussians))
         else:
             self.splats.destroy()
             self.splats = self._splats_for(count, max(self._coefficients, coefficients))
-        if not fits or self._order != self._drawn_order:
-            self._draw_in_order(self._order)
-        self._drawn_order = self._order
+        if not fits or drawn_with != self._drawn_with:
+            self._draw_with(*drawn_with)
+        self._drawn_with = drawn_with
         self._show_crop()
 
     def _choices(self) -> list[tuple[str, float, np.ndarray]]:

@@ -30,6 +30,7 @@ class BlendingWeights:
         capacity  for at least so many Gaussians
         """
         self._splats, self._sort = Splats(gaussians, capacity=capacity), sort or gaussians.sort or "radial"
+        self._antialias = gaussians.antialias
         self._size = (0, 0)  # of the largest picture until now, for which there is room
         self._first = max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1)
         self._renderer: Renderer | None = None
@@ -74,7 +75,8 @@ class BlendingWeights:
         if size[0] > self._size[0] or size[1] > self._size[1]:
             self._release()
             self._size = tuple(max(sides) for sides in zip(size, self._size, self._first, strict=True))
-            self._renderer = renderer = Renderer(self._splats, *self._size, outputs="float", sort=self._sort)
+            how = {"outputs": "float", "sort": self._sort, "antialias": self._antialias}
+            self._renderer = renderer = Renderer(self._splats, *self._size, **how)
         if (renderer.width, renderer.height) != size:
             renderer.resize(*size)
         renderer.render([camera])

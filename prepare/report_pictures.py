@@ -50,7 +50,9 @@ def splat_picture(asset: Asset, camera: Camera) -> np.ndarray:
     from render.splats import Splats
 
     background = tuple(c / 255 for c in PAPER)
-    renderer = Renderer(Splats(asset.gaussians), camera.width, camera.height, background=background)
+    renderer = Renderer(
+        Splats(asset.gaussians), camera.width, camera.height, background=background, antialias=asset.gaussians.antialias
+    )
     renderer.render([camera])
     return renderer.pixels()[0][..., :3].copy()
 

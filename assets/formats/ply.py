@@ -4,7 +4,8 @@ Plain: one vertex a Gaussian (3D Gaussian Splatting, Kerbl et al. 2023),
 `x y z [nx ny nz] f_dc_0..2 [f_rest_0..] opacity scale_0..2 rot_0..3`, in any order; `f_rest` is
 channel-major, `opacity` a logit, `scale` a natural log, `rot` wxyz and not normalised. Of a splat with
 objects there is an integer property `object_id` too, and a line `comment object 1 bear` for each name; a line
-`comment sort radial` says which order of blending they were trained for.
+`comment sort radial` says which order of blending they were trained for, `comment SplatRenderMode: mip` (of Brush; of
+Postshot: `comment antialiased 1`) that it was for anti-aliased drawing.
 
 Compressed: 16 bytes a Gaussian, and ranges shared by 256 of them. The element `chunk` holds the least and greatest
 position, log-scale and (since 2024) colour of 256 Gaussians; `vertex` four 32-bit words that lie between these; `sh`,
@@ -117,12 +118,13 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     path = Path(path)
     with open_input(path) as file:
         order, elements, comments = read_header(path, file)
-        sort = next((sort for sort in SORTS if f"sort {sort}" in comments), "")
+        about = {"sort": next((sort for sort in SORTS if f"sort {sort}" in comments), "")}
+        about["antialias"] = _is_antialiased(comments)
         vertex = next((e for e in elements if e.name == "vertex"), None)
         if vertex is None:
             raise BadInput(f"{path}: has no vertex element")
         if "packed_position" in vertex.names:
-            return replace(read_compressed(path, file, order, elements, report), sort=sort)
+            return replace(read_compressed(path, file, order, elements, report), **about)
         rest = _check_vertex(path, vertex)
         rows = _vertex_rows(path, file, order, elements, vertex)
 
@@ -140,7 +142,7 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     ids, objects = None, ()
     if "object_id" in vertex.names:
         ids, objects = _object_ids(path, rows["object_id"], report), _object_names(comments)
-    return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects, sort=sort)
+    return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects, **about)
 
 
 def read_vertices(path: Path) -> np.ndarray:
@@ -180,6 +182,18 @@ def _object_names(comments: list[str]) -> tuple[str, ...]:
         if match and 0 < int(match[1]) <= OBJECTS_MAX and is_object_name(match[2]):
             names[int(match[1])] = match[2]
     return tuple(names.get(k, f"object_{k}") for k in range(1, max(names, default=0) + 1))
+
+
+def _is_antialiased(comments: list[str]) -> bool:
+    """Trained for anti-aliased drawing, as Brush or Postshot say it; the last of the comments counts."""
+    said = [c.lower().split() for c in comments]
+    marks = [words[1] for words in said if len(words) == 2 and words[0] in ("splatrendermode:", "antialiased")]
+    return bool(marks) and marks[-1] in ("mip", "1")
+
+
+def _about(g: Gaussians) -> list[str]:
+    """Lines of a header: how the Gaussians were trained."""
+    return [f"comment sort {g.sort}"] * bool(g.sort) + ["comment SplatRenderMode: mip"] * g.antialias
 
 
 def _check_vertex(path: Path, vertex: Element) -> int:
@@ -232,7 +246,7 @@ def write_ply(path: str | Path, g: Gaussians) -> None:
     rows = np.concatenate(columns, axis=1).astype("<f4")
     header = ["ply", "format binary_little_endian 1.0"]
     header += [f"comment object {k} {name}" for k, name in enumerate(g.objects, 1)]
-    header += [f"comment sort {g.sort}"] if g.sort else []
+    header += _about(g)
     header += [f"element vertex {n}", *(f"property float {name}" for name in names)]
     if g.object_id.any() or g.objects:
         header.append("property ushort object_id")
@@ -359,7 +373,7 @@ def write_compressed(path: str | Path, g: Gaussians) -> None:
     ranges = np.concatenate([*position_range, *scale_range, *color_range], axis=1)
     channels = g.sh[:, 1:].transpose(0, 2, 1).reshape(n, rest)
     codes = np.clip(np.floor((channels / SH_EXTENT + 0.5) * 256), 0, 255).astype(np.uint8)
-    header = ["ply", "format binary_little_endian 1.0", *([f"comment sort {g.sort}"] if g.sort else [])]
+    header = ["ply", "format binary_little_endian 1.0", *_about(g)]
     header += [f"element chunk {len(ranges)}"]
     header += [f"property float {name}" for both in RANGES.values() for names in both for name in names]
     header += [f"element vertex {n}", *(f"property uint {name}" for name in PACKED)]

@@ -180,8 +180,7 @@ def _decode(images: Images, report: Report) -> Gaussians:
         raise BadInput(f"{path}: meta.json gives no count of Gaussians")
     if count == 0:
         raise BadInput(f"{path}: holds no Gaussians")
-    if meta.get("antialias") is True:
-        report(f"{path}: ignored its mark for anti-aliased drawing")
+    antialias = meta.get("model") == "antialiased" or meta.get("antialias") is True
     low_byte, high_byte = (images.rows("means", count, index)[:, :3] for index in (0, 1))
     stored = _between(images, "means", low_byte + high_byte.astype(np.uint16) * 256, code_max=65535)
     with np.errstate(over="ignore"):  # non-finite Gaussians are dropped later
@@ -203,7 +202,9 @@ def _decode(images: Images, report: Report) -> Gaussians:
     sh = dc[:, None, :].astype(np.float32)
     if meta.get("shN") is not None:
         sh = np.concatenate([sh, _palette(images, count, version)], axis=1)
-    return drawable_gaussians(path, means, quats, log_scales.astype(np.float32), logits, sh, report)
+    return drawable_gaussians(
+        path, means, quats, log_scales.astype(np.float32), logits, sh, report, antialias=antialias
+    )
 
 
 def _between(images: Images, name: str, codes: np.ndarray, code_max: int = 255) -> np.ndarray:

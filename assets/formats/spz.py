@@ -81,12 +81,11 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
         header, streams = _read_gzip(path, data, unzipped)
     ignored = ["SH degree 4"] if header.sh_degree > 3 else []
     ignored += ["its extensions"] if header.flags & EXTENSIONS else []
-    ignored += ["its mark for anti-aliased drawing"] if header.flags & ANTIALIASED else []
     if ignored:
         report(f"{path}: ignored {', '.join(ignored)}")
     comment = data[10:].split(b"\0", 1)[0] if not unzipped and data[3] == GZIP_COMMENT else b""
     sort = next((sort for sort in SORTS if comment == f"sort {sort}".encode()), "")
-    return replace(_decode(path, header, streams, report), sort=sort)
+    return replace(_decode(path, header, streams, report), sort=sort, antialias=bool(header.flags & ANTIALIASED))
 
 
 def _header(path: Path, data: bytes, stored: int) -> Header:
@@ -221,7 +220,7 @@ def write_spz(path: str | Path, g: Gaussians) -> None:
         rotations.astype("<u4"),
         to_bytes(sh[:, 1:] * 128.0 + 128),
     ]
-    header = SPZ_HEADER.pack(SPZ_MAGIC, 3, n, g.sh_degree, bits, 0, 0)
+    header = SPZ_HEADER.pack(SPZ_MAGIC, 3, n, g.sh_degree, bits, ANTIALIASED * g.antialias, 0)
     with atomic_write(path) as beside, open(beside, "wb") as file:
         packed = gzip.compress(header + b"".join(np.ascontiguousarray(s).tobytes() for s in streams), 6, mtime=0)
         if g.sort not in ("", "z"):

@@ -63,6 +63,7 @@ def shown_gaussians(world: World, body: int | None, *, shadows: bool) -> Callabl
     which = np.concatenate([np.arange(*span) for span in spans])
     if len(which) == 0:
         raise BadInput("there is nothing to export: the scene has no Gaussians")
+    antialias = device.renderer.rasterizer.projection.antialias
     all_opacities, all_harmonics, _ = splats.read(0, splats.count)
     opacities, harmonics = all_opacities[which].astype(np.float64), all_harmonics[which]
     fields = (splats.mean, splats.cov, splats.rotation, splats.visibility)
@@ -79,7 +80,8 @@ def shown_gaussians(world: World, body: int | None, *, shadows: bool) -> Callabl
         if shadows:
             sh *= visibility[:, None, None]
             sh[:, 0] += (0.5 / C0) * (visibility[:, None] - 1.0)
-        return Gaussians.of(mean, quaternions_from_matrices(axes), log_scales, np.log(opacity / (1 - opacity)), sh)
+        logits = np.log(opacity / (1 - opacity))
+        return Gaussians.of(mean, quaternions_from_matrices(axes), log_scales, logits, sh, antialias=antialias)
 
     return splat
 

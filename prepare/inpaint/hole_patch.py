@@ -89,6 +89,7 @@ def train_patch(
         cap=len(start),
         degree=start.sh_degree,
         sort=start.sort or "radial",
+        antialias=start.antialias,
         frozen=len(background),
         free_space=False,  # nobody stood where its views are drawn from
     )

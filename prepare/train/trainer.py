@@ -201,8 +201,8 @@ class Trainer:
         return quality_of(self.gradients.take_sums())
 
     def gaussians(self) -> Gaussians:
-        """The current Gaussians, with the sort they were trained for."""
-        return replace(self.population.gaussians(), sort=self.options.sort)
+        """The current Gaussians, which tell how they were trained."""
+        return replace(self.population.gaussians(), sort=self.options.sort, antialias=self.options.antialias)
 
     def picture(self, camera) -> np.ndarray:
         """Picture for a camera as of now, (H, W, 3) uint8."""

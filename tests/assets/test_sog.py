@@ -87,17 +87,18 @@ def test_the_lost_first_entry_of_early_codebooks(tmp_path):
     assert len(read_gaussians(tmp_path / "a.sog")) == 100
 
 
-def test_no_rotation_is_dropped_and_antialiasing_ignored_aloud(tmp_path):
+@pytest.mark.parametrize("mark", [{"model": "antialiased"}, {"antialias": True}])
+def test_no_rotation_is_dropped_and_antialiasing_kept(tmp_path, mark):
     g = some_gaussians(20, 0)
     files = sog_files(g)
     pixels = cv2.imdecode(np.frombuffer(files["quats.webp"], np.uint8), cv2.IMREAD_UNCHANGED)
     pixels[0, 3, 3] = 251
     files["quats.webp"] = cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
-    (tmp_path / "a.sog").write_bytes(with_meta(files, lambda meta: meta.update(antialias=True)))
+    (tmp_path / "a.sog").write_bytes(with_meta(files, lambda meta: meta.update(mark)))
     lines = []
     read = read_sog(tmp_path / "a.sog", report=lines.append)
     np.testing.assert_allclose(read.means, np.delete(g.means, 3, 0), atol=1e-3)
-    assert len(lines) == 2 and "anti-aliased" in lines[0] and "dropped 1 of 20" in lines[1]
+    assert len(lines) == 1 and "dropped 1 of 20" in lines[0] and read.antialias
 
 
 def test_archives_that_cannot_be(tmp_path):

@@ -15,6 +15,7 @@ from core.spherical_harmonics import rotate_sh
 SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
 LOG_SCALE_MAX = 40.0  # exp(2 * 40) = 5.5e34: sums of such variances still fit float32
 MAGNITUDE_MAX = 1e15  # [m] squared distances between such points still fit float32
+FLATTEST = 1e-7  # of a Gaussian's largest variance: what float32 covariances resolve
 OPAQUE = 0.3  # opacity above which a Gaussian shows a surface; fainter ones are haze
 UNIT_TOLERANCE = 1e-3  # of lengths and sums that should be 1: float16 is off by less
 ROWS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")  # arrays with a row a Gaussian
@@ -167,6 +168,14 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
     counts = {sort: sum(len(g) for g in sets if g.sort == sort) for sort in ("", *SORTS)}
     antialias = 2 * sum(len(g) for g in sets if g.antialias) > sum(map(len, sets))
     return Gaussians(*(np.concatenate(rows[name]) for name in ROWS), objects, max(counts, key=counts.get), antialias)
+
+
+def axes_of(sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Quaternions (N, 4) and log-scales (N, 3) of covariances (N, 3, 3) [m^2]."""
+    variances, axes = np.linalg.eigh(sigma.astype(np.float64))
+    axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
+    least = FLATTEST * np.maximum(variances[:, 2:], 1e-16)
+    return quaternions_from_matrices(axes), 0.5 * np.log(np.maximum(variances, least))
 
 
 def drawable(means, quats, log_scales, logit_opacities, sh) -> np.ndarray:

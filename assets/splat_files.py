@@ -11,6 +11,7 @@ from typing import Literal
 
 from assets.asset import Asset
 from assets.file_access import file_size, open_input
+from assets.formats.gaussian_glb import has_splats, read_glb, write_glb
 from assets.formats.ply import read_ply, write_compressed, write_ply
 from assets.formats.sog import read_sog
 from assets.formats.splat import read_ksplat, read_splat, write_splat
@@ -21,7 +22,7 @@ from core.errors import BadInput
 
 FileKind = Literal["body", "room", "either", "state"]
 
-SPLATS = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".json")
+SPLATS = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".json")  # and .glb, if it holds Gaussians
 MESHES = (".obj", ".glb", ".gltf", ".stl", ".off")
 HEADER_MAX = 4096  # [bytes] of a .ply in which its elements are listed
 
@@ -36,7 +37,7 @@ def kind_of(path: str | Path) -> FileKind:
     if path.suffix.lower() != ".h5":
         if is_mesh(path):
             return "body"
-        if path.suffix.lower() in SPLATS:
+        if path.suffix.lower() in (*SPLATS, ".glb"):
             return "either"
         raise BadInput(f"{path.name}: is not one of {', '.join((*SPLATS, *MESHES, '.h5'))}")
     with open_hdf5(path) as file:
@@ -54,8 +55,10 @@ def kind_of(path: str | Path) -> FileKind:
 
 
 def is_mesh(path: str | Path) -> bool:
-    """True for a file of triangles: by its name, or a .ply that has faces."""
+    """True for a file of triangles: by its name, a .ply that has faces, a .glb without Gaussians."""
     path = Path(path)
+    if path.suffix.lower() == ".glb":
+        return not has_splats(path)
     if path.suffix.lower() in MESHES:
         return True
     if path.suffix.lower() != ".ply":
@@ -72,12 +75,13 @@ READERS = {
     ".spz": read_spz,
     ".sog": read_sog,
     ".json": read_sog,
+    ".glb": read_glb,
     ".h5": lambda path, report: Asset.load(path).gaussians,
 }
 COMPRESSED = ".compressed.ply"  # both suffixes, as PlayCanvas's tools name it; recognised by content on reading
-WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}
-KEEP_OBJECTS = (".ply", ".h5")
-KEEP_TRAINED = (".ply", COMPRESSED, ".spz", ".h5")
+WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat, ".glb": write_glb}
+KEEP_OBJECTS = (".ply", ".glb", ".h5")
+KEEP_TRAINED = (".ply", COMPRESSED, ".spz", ".glb", ".h5")
 MAGICS = {
     b"ply\n": ".ply",
     b"ply\r": ".ply",
@@ -85,6 +89,7 @@ MAGICS = {
     b"NGSP": ".spz",
     b"\x89HDF\r\n\x1a\n": ".h5",
     b"PK\x03\x04": ".sog",  # ZIP
+    b"glTF": ".glb",
 }
 
 
@@ -92,11 +97,13 @@ def check_kind(path: Path) -> None:
     """Raise BadInput unless a file's name ends as one that is read."""
     suffix = path.suffix.lower()
     if suffix not in READERS and suffix not in MESHES:
-        raise BadInput(f"{path}: unknown kind of file {suffix!r}; read are {', '.join((*READERS, *MESHES))}")
+        raise BadInput(
+            f"{path}: unknown kind of file {suffix!r}; read are {', '.join(dict.fromkeys((*READERS, *MESHES)))}"
+        )
 
 
 def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
-    """Gaussians of a .ply (plain or compressed), .splat, .ksplat, .spz, .sog or of an asset (.h5), or on a mesh.
+    """Gaussians of a .ply (plain or compressed), .splat, .ksplat, .spz, .sog, .glb or of an asset (.h5), or on a mesh.
 
     A SOG that is not zipped is read by its meta.json. `report` takes one line if some were dropped. Splats that do not
     say which order of blending they were trained for are from elsewhere, and there it is z; assets and meshes are not.
@@ -128,7 +135,7 @@ def kind_to_write(path: str | Path) -> str:
 
 
 def write_gaussians(path: str | Path, g: Gaussians, report: Report = print) -> None:
-    """Write a .ply, .compressed.ply, .spz or .splat, in one step: either the whole file or none. Raises BadInput.
+    """Write a .ply, .compressed.ply, .spz, .splat or .glb, in one step: either the whole file or none. Raises BadInput.
 
     `report` takes a line if the format keeps no objects and there are some, or not how they were trained.
     """

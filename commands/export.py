@@ -13,6 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from assets.file_access import check_writable, make_folder
+from assets.formats.gaussian_glb import object_order
 from assets.formats.ply import chunk_order
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import COMPRESSED, kind_to_write, read_gaussians, write_gaussians
@@ -22,7 +23,7 @@ from commands.play_options import PREPARATION, STATE, PlayOptions, SceneOptions
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
-Kind = Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"]
+Kind = Literal["ply", "compressed.ply", "spz", "splat", "glb", "vtu", "obj"]
 PROGRESS_SIZE_MIN = 20 << 20  # [bytes] of input; less takes about a second
 
 
@@ -104,10 +105,14 @@ def find_body(world, wanted: str | None) -> int | None:
 
 @dataclass(kw_only=True)
 class ConvertOptions(cli.Options):
-    EXAMPLES = ("convert cat.sog cat.spz",)
+    EXAMPLES = ("convert cat.sog cat.spz", "convert cat.ply cat.glb")
+    CONDITIONS = (
+        cli.Condition(("--up",), lambda o: o.output.suffix.lower() == ".glb", "belongs to a .glb, of which +y is up"),
+    )
 
     input: Path = cli.argument("IN", f"{cli.SPLATS} or .h5")
-    output: Path = cli.argument("OUT", ".ply, .compressed.ply, .spz or .splat")
+    output: Path = cli.argument("OUT", ".ply, .compressed.ply, .spz, .splat or .glb")
+    up: cli.Axis | None = cli.option(None, ".glb: the input's up axis, turned to +y (default: guessed)")
 
 
 def convert(options: ConvertOptions) -> None:
@@ -120,7 +125,14 @@ def convert(options: ConvertOptions) -> None:
     long = exist[0] and source.stat().st_size >= PROGRESS_SIZE_MIN
     progress = partial(print, file=sys.stderr, flush=True) if long else no_line
     progress(f"  1/3 reading {source.name}")
-    before = read_gaussians(source)
+    note = ""
+    if kind == ".glb":
+        from display.viewed_file import ViewedFile
+
+        shown = ViewedFile.read(source, options.up)
+        note, before = f", {shown.note}", shown.gaussians.select(object_order(shown.gaussians))
+    else:
+        before = read_gaussians(source)
     progress(f"  2/3 writing {len(before)} Gaussians to {target.name}")
     write_gaussians(target, before, report=no_line)  # the losses below say it
     progress("  3/3 comparing")
@@ -134,7 +146,7 @@ def convert(options: ConvertOptions) -> None:
     if source.suffix.lower() != ".json":  # most of an unzipped SOG stands in its images
         size += f", was {source.stat().st_size / 1e6:.2f} MB"
     what = f"{len(after)} Gaussians of SH degree {after.sh_degree} ({size})"
-    print(f"{target}: {what}; lost: {', '.join(lost) or 'nothing'}")
+    print(f"{target}: {what}{note}; lost: {', '.join(lost) or 'nothing'}")
 
 
 def no_line(line: str) -> None:
@@ -164,4 +176,6 @@ def losses(before: Gaussians, after: Gaussians) -> list[str]:
         lost.append(f"rotations up to {np.degrees(angle):.2g} degrees")
     if (before.object_id != after.object_id).any() or before.objects != after.objects:
         lost.append("object ids")
+    if before.antialias and not after.antialias:
+        lost.append("the mark for anti-aliased drawing")
     return lost

@@ -65,10 +65,10 @@ class ViewedFile:
     def read(cls, path: str | Path, up: str | None) -> ViewedFile:
         """Read a file and turn it so that its axis `up` is +y. Raises BadInput.
 
-        None: the most probable axis is guessed, but for a prepared asset, of which +y is up.
+        None: the most probable axis is guessed, but for a prepared asset and a .glb, of which +y is up.
         """
         gaussians, chances = read_gaussians(path), {}
-        if up is None and not str(path).lower().endswith(".h5"):
+        if up is None and not str(path).lower().endswith((".h5", ".glb")):
             chances = up_probabilities(gaussians)
         up = max(chances, key=chances.get) if chances else up or "+y"
         note = f"{up} is up"

@@ -29,6 +29,7 @@ PIXELS_MAX = 8192 * 8192  # of a texture
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 INDICES = (5121, 5123, 5125)
 TYPE_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}  # MAT2 and MAT3 are padded
+SPLATTING = "KHR_gaussian_splatting"
 HARMLESS_EXTENSIONS = ("KHR_materials_", "KHR_lights_", "KHR_texture_transform", "KHR_mesh_quantization")  # if required
 
 
@@ -47,7 +48,7 @@ class GlbFile:
             data = file.read()
         self.json, self._binary = self._chunks(data)
         for name in self.list(self.json, "extensionsRequired"):
-            if not (isinstance(name, str) and name.startswith(HARMLESS_EXTENSIONS)):
+            if not (isinstance(name, str) and (name.startswith(HARMLESS_EXTENSIONS) or name == SPLATTING)):
                 raise self.error(f"requires the extension {str(name)[:60]!r}, which is not supported")
 
     def error(self, defect: str) -> BadInput:
@@ -239,10 +240,10 @@ def read_rig(path: str | Path) -> tuple[Rig, GlbFile]:
         raise file.error(f"has {len(nodes)} nodes, expected 1 to {NODES_MAX}")
     if not file.list(file.json, "skins"):
         raise file.error("has no skin: a rigged mesh is needed")
-    order, parents = _order(file, len(nodes))
+    order, parents = node_order(file, len(nodes))
     place = np.empty(len(nodes), np.int64)
     place[order] = np.arange(len(nodes))
-    rest = [np.stack(x) for x in zip(*(_local(file, file.item("nodes", int(k))) for k in order), strict=True)]
+    rest = [np.stack(x) for x in zip(*(local_pose(file, file.item("nodes", int(k))) for k in order), strict=True)]
     skin = file.item("skins", 0)
     joints = file.list(skin, "joints")
     for j in joints:
@@ -264,7 +265,7 @@ def read_rig(path: str | Path) -> tuple[Rig, GlbFile]:
     return rig, file
 
 
-def _order(file: GlbFile, count: int) -> tuple[np.ndarray, np.ndarray]:
+def node_order(file: GlbFile, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Node indices with parents before their children, and the parent of each node, -1 for none."""
     parents = np.full(count, -1, np.int64)
     children = [file.list(file.item("nodes", k), "children") for k in range(count)]
@@ -282,7 +283,7 @@ def _order(file: GlbFile, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(order), parents
 
 
-def _local(file: GlbFile, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def local_pose(file: GlbFile, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Translation, rotation wxyz and scale of a node."""
     if "matrix" in node:
         m = file.numbers(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from assets.formats.vtu import write_surfaces, write_vtu
-from assets.gaussians import Gaussians
+from assets.gaussians import Gaussians, axes_of
 from assets.splat_files import WRITERS, kind_to_write, write_gaussians
 from core.errors import BadInput
-from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
+from core.rotation import best_fit_rotation, matrices_from_quaternions
 from core.spherical_harmonics import C0, rotate_sh
 from core.tetmesh import tet_volumes
 from display.world import World
@@ -20,7 +20,6 @@ from sim.model import BodyModel
 from sim.time_step import lame
 
 OPACITY_EDGE = 1e-7  # to 0 and 1: a logit is finite
-FLATTEST = 1e-7  # of a Gaussian's largest variance: what float32 covariances resolve
 CAGES = {".vtu", ".obj"}
 
 
@@ -70,10 +69,7 @@ def shown_gaussians(world: World, body: int | None, *, shadows: bool) -> Callabl
     mean, cov, rotation, visibility = (field.to_numpy()[which] for field in fields)
 
     def splat() -> Gaussians:
-        variances, axes = np.linalg.eigh(cov.astype(np.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))
-        axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
-        largest = np.maximum(variances[:, 2:], 1e-16)
-        log_scales = 0.5 * np.log(np.maximum(variances, FLATTEST * largest))
+        quats, log_scales = axes_of(cov[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))
         opacity, sh = np.clip(opacities, OPACITY_EDGE, 1 - OPACITY_EDGE), harmonics.copy()
         turned = (np.abs(rotation[:, 0]) < 1.0 - 1e-7) & (sh[:, 1:] != 0).any((1, 2))
         sh[turned] = rotate_sh(sh[turned], matrices_from_quaternions(rotation[turned]))
@@ -81,7 +77,7 @@ def shown_gaussians(world: World, body: int | None, *, shadows: bool) -> Callabl
             sh *= visibility[:, None, None]
             sh[:, 0] += (0.5 / C0) * (visibility[:, None] - 1.0)
         logits = np.log(opacity / (1 - opacity))
-        return Gaussians.of(mean, quaternions_from_matrices(axes), log_scales, logits, sh, antialias=antialias)
+        return Gaussians.of(mean, quats, log_scales, logits, sh, antialias=antialias)
 
     return splat
 

@@ -10,7 +10,7 @@ import json
 import tempfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -148,6 +148,18 @@ def read_mesh_file(path: Path) -> None:
 def glb_samples(folder: Path) -> list[Files]:
     builder, scene = bar()
     return [{"rig.glb": packed(json.dumps(scene).encode(), builder.binary)}]
+
+
+def splat_glb_samples(folder: Path) -> list[Files]:
+    """Splats with objects, and a chain of nodes of which one stretches."""
+    g = some_gaussians(14, 1)
+    g = replace(g, object_id=np.arange(14).astype(np.uint16) % 2, objects=("bear",), sort="pixel", antialias=True)
+    written = saved(folder, "s.glb", lambda path: write_gaussians(path, g))["s.glb"]
+    size = int.from_bytes(written[12:16], "little")
+    scene = json.loads(written[20 : 20 + size])
+    turned = {"rotation": [0, 0.6, 0, 0.8], "scale": [1, 2, -1], "children": [1], "translation": [1, 2, 3]}
+    scene["nodes"] = [turned, {"mesh": 0, "matrix": np.eye(4).ravel().tolist()}, {"mesh": 1, "name": "cup"}]
+    return [{"s.glb": written}, {"s.glb": packed(json.dumps(scene).encode(), written[28 + size :])}]
 
 
 def inside_glb(rng: np.random.Generator, files: Files) -> Files:
@@ -513,6 +525,7 @@ TARGETS = {
         Target("preferences", json_samples("p.json", PREFERENCES, {}), read_preferences, in_json),
         Target("message", json_samples("m.json", *MESSAGES), read_page_message, in_json),
         Target("glb", glb_samples, read_skinned_glb, lambda folder: [inside_glb]),
+        Target("splat glb", splat_glb_samples, read_splat, lambda folder: [inside_glb]),
         Target("mesh", mesh_samples, read_mesh_file, lambda folder: BYTES + TEXT),
         Target("capture", capture_samples, read_whole_capture, lambda folder: [inside_capture]),
         Target("training", training_samples, read_training, in_hdf5),

@@ -134,13 +134,14 @@ def kind_to_write(path: str | Path) -> str:
     return COMPRESSED if path.name.lower().endswith(COMPRESSED) else suffix
 
 
-def write_gaussians(path: str | Path, g: Gaussians, report: Report = print) -> None:
+def write_gaussians(path: str | Path, g: Gaussians, report: Report = print, **options) -> None:
     """Write a .ply, .compressed.ply, .spz, .splat or .glb, in one step: either the whole file or none. Raises BadInput.
 
+    options  of the format's own function.
     `report` takes a line if the format keeps no objects and there are some, or not how they were trained.
     """
     kind = kind_to_write(path)
-    WRITERS[kind](path, g)
+    WRITERS[kind](path, g, **options)
     if kind not in KEEP_OBJECTS and g.object_id.any():
         report(f"{path}: {kind} keeps no object ids; {' and '.join(KEEP_OBJECTS)} do")
     if kind not in KEEP_TRAINED and g.antialias:

@@ -108,10 +108,12 @@ class ConvertOptions(cli.Options):
     EXAMPLES = ("convert cat.sog cat.spz", "convert cat.ply cat.glb")
     CONDITIONS = (
         cli.Condition(("--up",), lambda o: o.output.suffix.lower() == ".glb", "belongs to a .glb, of which +y is up"),
+        cli.Condition(("--spz-version",), lambda o: o.output.suffix.lower() == ".spz", "belongs to a .spz"),
     )
 
     input: Path = cli.argument("IN", f"{cli.SPLATS} or .h5")
     output: Path = cli.argument("OUT", ".ply, .compressed.ply, .spz, .splat or .glb")
+    spz_version: Literal[3, 4] = cli.option(None, ".spz: 3, which all programs read (default), or 4, some smaller", 3)
     up: cli.Axis | None = cli.option(None, ".glb: the input's up axis, turned to +y (default: guessed)")
 
 
@@ -134,7 +136,8 @@ def convert(options: ConvertOptions) -> None:
     else:
         before = read_gaussians(source)
     progress(f"  2/3 writing {len(before)} Gaussians to {target.name}")
-    write_gaussians(target, before, report=no_line)  # the losses below say it
+    version = {"version": options.spz_version} if kind == ".spz" else {}
+    write_gaussians(target, before, report=no_line, **version)  # the losses below say it
     progress("  3/3 comparing")
     after = read_gaussians(target)
     if kind == COMPRESSED:

@@ -16,6 +16,7 @@ import numpy as np
 
 from assets.animation import decompose, slerp
 from assets.file_access import open_input
+from assets.gaussians import MAGNITUDE_MAX
 from assets.images import decode_image, read_image_header
 from core.errors import BadInput
 from core.typed import Range, Shape, from_json, from_plain
@@ -287,6 +288,8 @@ def local_pose(file: GlbFile, node: dict) -> tuple[np.ndarray, np.ndarray, np.nd
     """Translation, rotation wxyz and scale of a node."""
     if "matrix" in node:
         m = file.numbers(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
+        if np.abs(m).max() > MAGNITUDE_MAX:
+            raise file.error("a node's matrix is too large")
         t, q, s, off = decompose(m[None])
         if off[0] > 1e-3:
             raise file.error("a node's matrix shears, or mirrors")

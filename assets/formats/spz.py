@@ -3,8 +3,9 @@
 Versions 1-3 are one gzip stream: a 16-byte header, then positions, alphas, colours, scales,
 rotations, SH. Version 4 is a 32-byte header, a table and one zstd stream an attribute. The axes are
 right-up-back, half a turn about x away from those of the .ply (right-down-front); reading and
-writing turn them. Read are versions 1-4, written is version 3. The order of blending that the splats
-were trained for, if it is not z, is the comment of the gzip stream (RFC 1952), `sort radial`.
+writing turn them; an extension of Adobe may name others. The order of blending that the splats were trained
+for, if it is not z, is the comment of the gzip stream (RFC 1952), `sort radial`, in version 4 an extension.
+An extension is its type, the length of its content, and that; they lie behind the header, in versions 1-3 at the end.
 """
 
 from __future__ import annotations
@@ -36,7 +37,15 @@ SH_DEGREE_MAX = 4  # the format has one degree more than 3D Gaussian Splatting
 FRACTION_BITS_MAX = 23  # of a 24-bit coordinate
 FRACTION_BITS_WRITTEN = 16  # 15 micrometres, below the smallest Gaussians; fewer if the extent requires it
 COLOR_SCALE = 0.15  # SH degree 0 is stored as 0.15 c + 0.5, which leaves a margin around the range of colours
+ZSTD_LEVEL = 12  # of 22: 1.5 % less than 3; 19, 7 % less, takes 40 s for a million Gaussians
 ZSTD_WINDOW_MAX = 1 << 27  # [bytes] of memory that a zstd frame may ask for; its own default limit
+EXTENSIONS_MAX = 1 << 16  # [bytes] of all extensions of version 1 to 3
+EXTENSION = struct.Struct("<II")  # type, length of the content [bytes]
+COORDINATE_SYSTEM, SORT = 0xADBE0003, 0x56520001  # types of extensions: Adobe's, and ours
+SYSTEMS = [
+    f"{x}{y}{z}" for y, z in ("DB", "UB", "DF", "UF", "FD", "FU", "BD", "BU") for x in "LR"
+]  # of x, y, z; from 1
+AXES = dict(R=(1, 0, 0), L=(-1, 0, 0), D=(0, 1, 0), U=(0, -1, 0), F=(0, 0, 1), B=(0, 0, -1))  # in those of the .ply
 AXIS_FLIP = np.array([1.0, -1.0, -1.0])  # right-up-back <-> right-down-front
 AXIS_FLIP_QUAT = np.array([1.0, 1.0, -1.0, -1.0])  # of a quaternion wxyz
 
@@ -76,16 +85,23 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
     if not unzipped and data[:2] != GZIP:
         raise BadInput(f"{path}: not a .spz file")
     if unzipped and int.from_bytes(data[4:8], "little") == 4:
-        header, streams = _read_zstd(path, data)
+        header, streams, more = _read_zstd(path, data)
     else:
-        header, streams = _read_gzip(path, data, unzipped)
+        header, streams, more = _read_gzip(path, data, unzipped)
+    extensions = _extensions(more) if header.flags & EXTENSIONS else {}
+    system = int.from_bytes(extensions.pop(COORDINATE_SYSTEM, b""), "little")
+    named = extensions.pop(SORT, b"")
     ignored = ["SH degree 4"] if header.sh_degree > 3 else []
-    ignored += ["its extensions"] if header.flags & EXTENSIONS else []
+    ignored += [f"its extension {kind:#x}" for kind in extensions]
+    ignored += [f"its coordinate system {system}"] if system > len(SYSTEMS) else []
     if ignored:
         report(f"{path}: ignored {', '.join(ignored)}")
-    comment = data[10:].split(b"\0", 1)[0] if not unzipped and data[3] == GZIP_COMMENT else b""
+    comment = data[10:].split(b"\0", 1)[0] if not unzipped and data[3] == GZIP_COMMENT else b"sort " + named
     sort = next((sort for sort in SORTS if comment == f"sort {sort}".encode()), "")
-    return replace(_decode(path, header, streams, report), sort=sort, antialias=bool(header.flags & ANTIALIASED))
+    g = _decode(path, header, streams, report)
+    if 0 < system <= len(SYSTEMS):
+        g = _turned(g, SYSTEMS[system - 1])
+    return replace(g, sort=sort, antialias=bool(header.flags & ANTIALIASED))
 
 
 def _header(path: Path, data: bytes, stored: int) -> Header:
@@ -107,8 +123,29 @@ def _header(path: Path, data: bytes, stored: int) -> Header:
     return header
 
 
-def _read_gzip(path: Path, data: bytes, unzipped: bool) -> tuple[Header, list[bytes]]:
-    """Versions 1 to 3; `unzipped` if the gzip layer was removed."""
+def _extensions(data: bytes) -> dict[int, bytes]:
+    """Content of the extensions by their type."""
+    found, at = {}, 0
+    while at + EXTENSION.size <= len(data):
+        kind, size = EXTENSION.unpack_from(data, at)
+        at += EXTENSION.size + size
+        found[kind] = data[at - size : at]
+    return found
+
+
+def _turned(g: Gaussians, system: str) -> Gaussians:
+    """The Gaussians that were read as RUB but are of another system, which may be mirrored."""
+    turn = np.array([AXES[letter] for letter in system]).T @ np.diag(AXIS_FLIP)
+    side = round(np.linalg.det(turn))
+    g = g.transformed(side * turn) if (turn != side * np.eye(3)).any() else g
+    if side < 0:  # a rotation, and all axes reversed: of the harmonics, those of odd degree change their sign
+        signs = np.repeat([1, -1, 1, -1], [1, 3, 5, 7])[: g.sh.shape[1]]
+        g = replace(g, means=-g.means, sh=(g.sh * signs[:, None]).astype(np.float32))
+    return g
+
+
+def _read_gzip(path: Path, data: bytes, unzipped: bool) -> tuple[Header, list[bytes], bytes]:
+    """Versions 1 to 3, and what follows; `unzipped` if the gzip layer was removed."""
     unpack = zlib.decompressobj(16 + zlib.MAX_WBITS)
     try:
         head = data[: SPZ_HEADER.size] if unzipped else unpack.decompress(data, SPZ_HEADER.size)
@@ -117,17 +154,17 @@ def _read_gzip(path: Path, data: bytes, unzipped: bool) -> tuple[Header, list[by
             raise BadInput(f"{path}: version 4 of .spz inside gzip")
         size = header.count * sum(header.widths())
         body = data[SPZ_HEADER.size :] if unzipped else unpack.decompress(unpack.unconsumed_tail, size)
-        more = unzipped or unpack.decompress(unpack.unconsumed_tail, 1)  # reaches the checksum, or what follows
+        tail = data[SPZ_HEADER.size + size :] if unzipped else unpack.decompress(unpack.unconsumed_tail, EXTENSIONS_MAX)
     except zlib.error as e:
         raise BadInput(f"{path}: the gzip stream is damaged ({e})") from e
-    if len(body) < size or not (more or unpack.eof):
+    if len(body) < size or not (unzipped or tail or unpack.eof):
         raise BadInput(f"{path}: truncated; {header.count} Gaussians take {size} bytes, found {len(body)}")
     ends = np.cumsum([0, *header.widths()]) * header.count
-    return header, [body[a:b] for a, b in pairwise(ends)]
+    return header, [body[a:b] for a, b in pairwise(ends)], tail[:EXTENSIONS_MAX]
 
 
-def _read_zstd(path: Path, data: bytes) -> tuple[Header, list[bytes]]:
-    """Version 4."""
+def _read_zstd(path: Path, data: bytes) -> tuple[Header, list[bytes], bytes]:
+    """Version 4, and its extensions."""
     import zstandard
 
     if len(data) < HEADER_4_SIZE:
@@ -153,7 +190,7 @@ def _read_zstd(path: Path, data: bytes) -> tuple[Header, list[bytes]]:
         if len(streams[-1]) != size:
             raise BadInput(f"{path}: stream {i} ends early")
         start += stored
-    return header, [streams.pop(0) if size else b"" for size in sizes]
+    return header, [streams.pop(0) if size else b"" for size in sizes], data[HEADER_4_SIZE:table]
 
 
 def _decode(path: Path, header: Header, streams: list[bytes], report: Report) -> Gaussians:
@@ -196,9 +233,10 @@ def _smallest_three(packed: np.ndarray) -> np.ndarray:
     return np.roll(join_largest(code >> 30, np.where(fields & 512, -magnitude, magnitude)), 1, axis=1)
 
 
-def write_spz(path: str | Path, g: Gaussians) -> None:
-    """Write version 3. Positions are rounded to 2^-16 m (more beyond 128 m), all else to 8 to 10 bits. Raises BadInput.
+def write_spz(path: str | Path, g: Gaussians, version: int = 3) -> None:
+    """Write version 3, which all programs read, or 4. Raises BadInput.
 
+    Positions are rounded to 2^-16 m (more beyond 128 m), all else to 8 to 10 bits.
     Log-scales outside -10..5.94 and SH coefficients outside -1..0.99 are clamped; `object_id` is not stored.
     """
     means, n = g.means.astype(np.float64) * AXIS_FLIP, len(g)
@@ -220,9 +258,23 @@ def write_spz(path: str | Path, g: Gaussians) -> None:
         rotations.astype("<u4"),
         to_bytes(sh[:, 1:] * 128.0 + 128),
     ]
-    header = SPZ_HEADER.pack(SPZ_MAGIC, 3, n, g.sh_degree, bits, ANTIALIASED * g.antialias, 0)
+    streams = [np.ascontiguousarray(s).tobytes() for s in streams]
+    about = SPZ_MAGIC, version, n, g.sh_degree, bits
+    named = g.sort.encode() if g.sort not in ("", "z") else b""
     with atomic_write(path) as beside, open(beside, "wb") as file:
-        packed = gzip.compress(header + b"".join(np.ascontiguousarray(s).tobytes() for s in streams), 6, mtime=0)
-        if g.sort not in ("", "z"):
-            packed = packed[:3] + bytes([GZIP_COMMENT]) + packed[4:10] + f"sort {g.sort}\0".encode() + packed[10:]
+        if version == 4:
+            import zstandard
+
+            sizes = [len(s) for s in streams if s]
+            packed = [zstandard.compress(s, ZSTD_LEVEL) for s in streams if s]
+            more = EXTENSION.pack(SORT, len(named)) + named if named else b""
+            flags = ANTIALIASED * g.antialias | EXTENSIONS * bool(named)
+            file.write(SPZ_HEADER.pack(*about, flags, len(packed)))
+            file.write((HEADER_4_SIZE + len(more)).to_bytes(HEADER_4_SIZE - TABLE_OFFSET, "little") + more)
+            file.writelines(STREAM_ENTRY.pack(len(p), size) for p, size in zip(packed, sizes, strict=True))
+            file.writelines(packed)
+            return
+        packed = gzip.compress(SPZ_HEADER.pack(*about, ANTIALIASED * g.antialias, 0) + b"".join(streams), 6, mtime=0)
+        if named:
+            packed = packed[:3] + bytes([GZIP_COMMENT]) + packed[4:10] + b"sort " + named + b"\0" + packed[10:]
         file.write(packed)

@@ -5,6 +5,7 @@ import struct
 import tracemalloc
 import warnings
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import zstandard
 from assets.formats.spz import read_spz, write_spz
 from assets.splat_files import read_gaussians, write_gaussians
 from core.errors import BadInput
+from core.rotation import matrices_from_quaternions
 from core.spherical_harmonics import sh_basis
 from tests.support.samples import FIELDS, refused, some_gaussians
 from tests.support.splat_encoders import spz_4_bytes, spz_bytes
@@ -91,11 +93,11 @@ def test_spz_version_3_smallest_three(tmp_path, largest):
 def test_spz_degree_4_and_extensions_are_ignored_aloud_and_antialiasing_is_kept(tmp_path):
     sh = bytes([192] * 72)
     lines = []
-    data = spz_bytes(3, b"\0" * 9, 4, flags=3, rotation=b"\0\0\0\xc0", sh=sh, tail=b"\1\0\0\0\0\0\0\0")
+    data = spz_bytes(3, b"\0" * 9, 4, flags=3, rotation=b"\0\0\0\xc0", sh=sh, tail=b"\1\0\0\0\2\0\0\0\7\7")
     (tmp_path / "a.spz").write_bytes(data)
     g = read_gaussians(tmp_path / "a.spz", report=lines.append)
     assert g.sh_degree == 3 and np.abs(g.sh[:, 1:]).max() == 0.5
-    assert len(lines) == 1 and all(word in lines[0] for word in ("degree 4", "extensions")) and g.antialias
+    assert len(lines) == 1 and all(word in lines[0] for word in ("degree 4", "extension 0x1")) and g.antialias
 
 
 @pytest.mark.parametrize("degree", range(4))
@@ -107,6 +109,54 @@ def test_spz_version_4_holds_what_version_3_holds(tmp_path, degree):
     read, expected = read_spz(tmp_path / "4.spz", report=str), read_spz(tmp_path / "3.spz")
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(read, name), getattr(expected, name))
+
+
+LETTERS = {"R": [1, 0, 0], "L": [-1, 0, 0], "D": [0, 1, 0], "U": [0, -1, 0], "F": [0, 0, 1], "B": [0, 0, -1]}
+SYSTEMS = {"LDB": 1, "RUB": 4, "RDF": 6, "LUF": 7, "RUF": 8, "LFD": 9, "RFU": 12, "LBU": 15, "RBU": 16}
+
+
+@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_an_extension_names_the_axes(tmp_path, system, version):
+    """A file whose axes point elsewhere, mirrored or not, is turned to right, down, front, and so are its colours."""
+    g = some_gaussians(40, 3)
+    write_spz(tmp_path / "a.spz", g)
+    as_rub = read_spz(tmp_path / "a.spz")
+    raw = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
+    record = struct.pack("<III", 0xADBE0003, 4, SYSTEMS[system])
+    raw[14] |= 2
+    data = gzip.compress(bytes(raw) + record)
+    (tmp_path / "b.spz").write_bytes(data if version == 3 else spz_4_bytes(data, extension=record))
+    read = read_spz(tmp_path / "b.spz", report=pytest.fail)
+    M = np.array([LETTERS[c] for c in system]).T @ np.diag([1, -1, -1])
+    np.testing.assert_allclose(read.means, as_rub.means @ M.T, atol=1e-6)
+    axes = M @ matrices_from_quaternions(as_rub.quats) * np.exp(as_rub.log_scales.astype(np.float64))[:, None]
+    sigma = (axes @ axes.transpose(0, 2, 1))[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    np.testing.assert_allclose(read.covariances, sigma, atol=1e-5 * sigma.max())
+    directions = np.random.default_rng(0).normal(size=(6, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    seen = np.einsum("dk,nkc->ndc", sh_basis(directions @ M.T), read.sh)
+    np.testing.assert_allclose(seen, np.einsum("dk,nkc->ndc", sh_basis(directions), as_rub.sh), atol=1e-5)
+
+
+def test_a_coordinate_system_that_is_not_known_is_ignored_aloud(tmp_path):
+    lines, tail = [], struct.pack("<III", 0xADBE0003, 4, 17)
+    (tmp_path / "a.spz").write_bytes(spz_bytes(3, b"\0" * 9, flags=2, rotation=b"\0\0\0\xc0", tail=tail))
+    read_spz(tmp_path / "a.spz", report=lines.append)
+    assert len(lines) == 1 and "coordinate system 17" in lines[0]
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("sort", ["", "radial"])
+def test_version_4_is_written_with_the_same_content(tmp_path, degree, sort):
+    g = replace(some_gaussians(50, degree), sort=sort, antialias=degree == 1)
+    for version in (3, 4):
+        write_gaussians(tmp_path / f"{version}.spz", g, version=version)
+    assert (tmp_path / "4.spz").read_bytes()[:8] == b"NGSP\4\0\0\0"
+    read, expected = (read_gaussians(tmp_path / f"{version}.spz", pytest.fail) for version in (4, 3))
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(read, name), getattr(expected, name))
+    assert (read.sort, read.antialias) == (sort or "z", g.antialias)
 
 
 def test_spz_that_cannot_be(tmp_path):

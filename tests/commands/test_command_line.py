@@ -55,6 +55,7 @@ REFUSED = [  # for each condition a command line, and what is said about the opt
     ("capture a --out r --no-objects --lama n", "--lama is not for --no-objects"),
     ("view a.ply --snapshot a.png --frames 3", "--frames belongs to a window"),
     ("view a.ply --snapshot a.png --out b.ply", "--out is where a crop made in the window is written"),
+    ("convert a.ply b.ply --spz-version 4", "--spz-version belongs to a .spz"),
     ("convert a.ply b.spz --up +y", "--up belongs to a .glb"),
     ("render a --camera b --out c.png --up +y", "--up belongs to --turntable"),
     ("prepare a --out b.h5 --cell 1", "--cell belongs to --static"),

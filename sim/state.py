@@ -16,8 +16,8 @@ The position in the substep in progress is x + dx, and the motion of a vertex in
 Vertices of inverse mass 0 are prescribed and move on with their v.
 
 Loops run over the capacity and test `i < vertex_count[None]`: a range whose end is read from a field costs one more
-launch, and equal capacities let scenes of different sizes share compiled kernels. Those of the CPU's substeps end at the
-count: it costs nothing there, and what is used of a capacity would be the part of the first thread alone.
+launch, and equal capacities let scenes of different sizes share compiled kernels. Those of the CPU's substeps end at
+the count: it costs nothing there, and what is used of a capacity would be the part of the first thread alone.
 """
 
 import numpy as np

@@ -159,9 +159,8 @@ def change_node(rng: np.random.Generator, file: h5py.File) -> None:
         file.copy(file[other], name)
         return
     if kind == 2:
-        if is_group:
-            if "round" not in file[name]:
-                file[name]["round"] = file["/"]
+        if is_group and "round" not in file[name]:
+            file[name]["round"] = file["/"]
         return
     del file[name]
     match kind:

@@ -21,7 +21,7 @@ from core.runtime import is_out_of_memory, running_arch, start_taichi
 from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.train import train_options
 from prepare.train.capture import Capture, Lens, View
-from prepare.train.capture_files import checked, find_colmap_model, read_capture, read_colmap
+from prepare.train.capture_files import checked, find_colmap_model, read_capture, read_colmap, transforms_in
 from prepare.train.photographs import image_size, kept_for_test, load_photographs
 from prepare.train.structure_from_motion import (
     VIDEOS,
@@ -106,7 +106,10 @@ def train(options: TrainOptions, capture: Capture | None = None) -> None:
         masks.ids if masks else None,
         progress=lambda count: _tell(f"photographs {count}/{total}", end=count == total),
     )
-    train, test = kept_for_test(photographs, options.test_every)
+    train, test = kept_for_test(photographs, 0 if capture.test else options.test_every)
+    if capture.test and options.test_every:
+        test = load_photographs(capture.test, options.reduce)
+        print(f"{len(test)} photographs are held out, as the capture says", file=sys.stderr)
     start_taichi(options.arch)
     print(_photographs(train), file=sys.stderr)
     if options.test_every and not test:
@@ -199,7 +202,7 @@ def is_posed(path: Path) -> bool:
     """True for a capture with poses; False for photographs alone or a video."""
     if path.is_file():
         return path.suffix.lower() not in VIDEOS
-    posed = not path.is_dir() or (path / "transforms.json").is_file() or find_colmap_model(path) is not None
+    posed = not path.is_dir() or transforms_in(path) is not None or find_colmap_model(path) is not None
     return posed or not photographs_in(image_folder(path))
 
 
@@ -281,7 +284,7 @@ def _trainer(options: TrainOptions, capture, train: list, objects: list[str]):
         about |= {"masks": str(options.masks), "objects": objects}
     start = first_gaussians(capture, train, degree=options.degree, cap=cap, seed=options.seed)
     if len(capture.points) == 0:
-        print(f"the capture has no points: starting with {len(start)} random Gaussians", file=sys.stderr)
+        print(f"the capture has no points: starting with {len(start)} Gaussians where cameras look", file=sys.stderr)
     return Trainer(train, start, capture.extent, how, objects), about
 
 

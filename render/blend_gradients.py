@@ -58,7 +58,8 @@ class BlendGradients:
     d_color    (r, g, b)
 
     With `color`, vec3 (capacity,), the picture shows those three numbers per Gaussian instead of colours. With `into`,
-    the BlendGradients of another picture from the same bins, d_mean2d and d_conic are shared: both add to them.
+    the BlendGradients of another picture from the same bins, d_mean2d and d_conic are shared: both add to them. With
+    `background`, vec3 (1,), the picture's colours were laid over that colour: it acts as a splat behind all.
 
     With w_i = alpha_i T_i and s_i = dL/dC . c_i + dL/dD z_i + dL/dA, a pixel's loss changes by sum w_i s_i, and
 
@@ -74,10 +75,11 @@ class BlendGradients:
 
     def __init__(
         self, bins: TileBins, picture, *, with_depth: bool = True, with_geometry: bool = True, color=None,
-        into: "BlendGradients | None" = None,
+        into: "BlendGradients | None" = None, background=None,
     ):  # fmt: skip
         self.bins, self.projection, self.picture = bins, bins.projection, picture
         self.color, self.other_color, self.adds = color, color is not None, into is not None
+        self.background, self.has_background = background, background is not None
         self.with_geometry = with_geometry
         self.with_depth, self.on_gpu, self.keeps_index = with_depth, ti.cfg.arch == ti.cuda, True
         self.by_pixel = self.projection.with_slope
@@ -138,6 +140,9 @@ class BlendGradients:
         """Derivatives with respect to a pixel's sums of w c, w z and w; and those times the sums themselves, added."""
         d_c, c, d_sum, d_alpha = self.d_rgb[y, x], self.picture.rgb[0, y, x], 0.0, 0.0
         total = d_c.dot(c)
+        if ti.static(self.has_background):  # its share is 1 - A
+            d_alpha = -d_c.dot(self.background[0])
+            total += d_alpha
         if ti.static(self.with_depth):
             alpha, z = self.picture.alpha[0, y, x], self.picture.depth[0, y, x]
             d_sum = self.d_depth[y, x] / ti.max(alpha, MIN_ALPHA)  # depth = sum w z / alpha
@@ -264,6 +269,8 @@ class BlendGradients:
                             T[p] = ti.select(visible, after, before)
                             weight = before - T[p]
                             value = red[p] * splat[7] + green[p] * splat[8] + blue[p] * splat[9]
+                            if ti.static(self.has_background):
+                                value += opaque[p]
                             if ti.static(self.with_depth):
                                 value += depth[p] * splat[3] + opaque[p]
                                 sums[6] += weight * depth[p]
@@ -336,6 +343,8 @@ class BlendGradients:
         mean2d = self.projection.mean2d[0, g]
         dx, dy = x + 0.5 - mean2d.x, y + 0.5 - mean2d.y
         weight, value = alpha * T, d_c.dot(splat_color(self, 0, g))
+        if ti.static(self.has_background):
+            value += d_alpha_sum
         if ti.static(self.with_depth):
             value += d_sum * mean2d.w + d_alpha_sum
             self.geometry[g, 6] += weight * d_sum

@@ -132,12 +132,16 @@ def camera_matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class View:
-    """A photograph: its file, its lens, and `world_to_camera` (4, 4), +z forward and +y down."""
+    """A photograph: its file, its lens, and `world_to_camera` (4, 4), +z forward and +y down.
+
+    cut_out  there is nothing where it is transparent; else what is there is not known
+    """
 
     image: Path
     lens: Lens
     world_to_camera: np.ndarray
     mask: Path | None = None
+    cut_out: bool = False
 
     @property
     def name(self) -> str:
@@ -158,12 +162,16 @@ class View:
 
 @dataclass(frozen=True)
 class Capture:
-    """Views in the order of their names, and points (P, 3) float64 with colours (P, 3) uint8, P may be 0."""
+    """Views in the order of their names, and points (P, 3) float64 with colours (P, 3) uint8, P may be 0.
+
+    test  views that the capture itself holds out, as Blender's datasets do
+    """
 
     folder: Path
     views: list[View]
     points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     colors: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
+    test: list[View] = field(default_factory=list)
 
     def cameras(self) -> list[Camera]:
         """The camera of each view."""
@@ -188,8 +196,10 @@ class Capture:
         """The same capture in a world whose +y is `up`."""
         turn = np.eye(4)
         turn[:3, :3] = rotation_between(self.up, (0.0, 1.0, 0.0))
-        views = [replace(v, world_to_camera=v.world_to_camera @ turn.T) for v in self.views]
-        return replace(self, views=views, points=self.points @ turn[:3, :3].T)
+        views, test = (
+            [replace(v, world_to_camera=v.world_to_camera @ turn.T) for v in part] for part in (self.views, self.test)
+        )
+        return replace(self, views=views, test=test, points=self.points @ turn[:3, :3].T)
 
     def looked_at(self) -> np.ndarray:
         """The point nearest to the axes of all cameras, (3,); the middle of the cameras where those are parallel."""

@@ -1,10 +1,11 @@
-"""Captures in files: transforms.json (nerfstudio, instant-ngp), COLMAP models (text and binary), point clouds."""
+"""Captures in files: transforms.json (nerfstudio, instant-ngp, Blender), COLMAP models as text or binary, points."""
 
 from __future__ import annotations
 
 import math
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from os.path import isfile
 from pathlib import Path
 
@@ -27,6 +28,8 @@ DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE = ("k1", "k2", "k3", "k4")
 TRANSFORMS_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV_FISHEYE")
 GREY = 128
+TRANSFORMS = ("transforms.json", "transforms_train.json")
+TRANSFORMS_TEST = "transforms_test.json"  # beside the latter; transforms_val.json is for neither
 FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", ".")  # of a capture, in which models lie
 IMAGE_FOLDERS = ("images", ".")
 NAME_MAX = 4096  # [bytes]
@@ -45,11 +48,13 @@ COLMAP_MODELS = {
 
 
 def read_capture(path: str | Path) -> Capture:
-    """The capture in a folder, or of a transforms.json: nerfstudio, instant-ngp or COLMAP (text or binary).
+    """The capture in a folder, or of a transforms.json: nerfstudio, instant-ngp, Blender or COLMAP (text or binary).
 
     Raises BadInput, which names the fault and a remedy.
     """
     path = Path(path)
+    if path.is_dir() and (found := transforms_in(path)) is not None:
+        path = found
     if path.is_file():
         if path.suffix.lower() != ".json":
             raise BadInput(
@@ -58,8 +63,6 @@ def read_capture(path: str | Path) -> Capture:
         return checked(read_transforms(path))
     if not path.is_dir():
         raise BadInput(f"{path}: no such folder")
-    if (path / "transforms.json").is_file():
-        return checked(read_transforms(path / "transforms.json"))
     model = find_colmap_model(path)
     if model is None:
         raise BadInput(
@@ -68,13 +71,18 @@ def read_capture(path: str | Path) -> Capture:
     return checked(read_colmap(model, path))
 
 
+def transforms_in(folder: Path) -> Path | None:
+    """The file that describes the cameras in a folder, of Blender's datasets that of the views to learn from."""
+    return next((p for p in (folder / name for name in TRANSFORMS) if p.is_file()), None)
+
+
 def checked(capture: Capture) -> Capture:
     """The capture, its views sorted by name. Raises BadInput if no training is possible with it."""
     views = sorted(capture.views, key=lambda v: str(v.image))
-    for view in views:
-        if not isfile(view.image):  # False for a name too long, too
-            missing = sum(not isfile(v.image) for v in views)
-            raise BadInput(f"{view.image}: no such image ({missing} of {len(views)} are missing)")
+    named = [*views, *capture.test]
+    missing = [view.image for view in named if not isfile(view.image)]  # False for a name too long, too
+    if missing:
+        raise BadInput(f"{missing[0]}: no such image ({len(missing)} of {len(named)} are missing)")
     if len(views) < VIEWS_MIN:
         raise BadInput(
             f"{capture.folder}: {len(views)} views; take at least {VIEWS_MIN}, better 30, around what you want"
@@ -84,7 +92,7 @@ def checked(capture: Capture) -> Capture:
     if reach <= SPREAD_MIN * max(1.0, np.abs(places).max()):
         raise BadInput(f"{capture.folder}: all cameras stand in one place; depth shows only from several places")
     finite = (np.abs(capture.points) < MAGNITUDE_MAX).all(axis=1)  # NaN compares false
-    return Capture(capture.folder, views, capture.points[finite], capture.colors[finite])
+    return replace(capture, views=views, points=capture.points[finite], colors=capture.colors[finite])
 
 
 def rigid(matrix, where: str) -> np.ndarray:
@@ -111,13 +119,18 @@ def read_transforms(path: Path) -> Capture:
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not all(isinstance(f, dict) for f in frames):
         raise BadInput(f"{path}: has no list of frames")
-    views = [_view(path, {**data, **frame}, frame) for frame in frames]
+    views, test = [_view(path, {**data, **frame}, frame) for frame in frames], []
     points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     name = data.get("ply_file_path")
     found = _inside(path, path.parent, name) if isinstance(name, str) else path.parent / "sparse_pc.ply"
     if isinstance(name, str) or found.is_file():
         points, colors = read_points(found)
-    return Capture(path.parent, views, points, colors)
+    else:  # with points it was made of photographs, in which transparency hides what is not to be matched
+        views = [replace(view, cut_out=True) for view in views]
+    held_out = path.with_name(TRANSFORMS_TEST)
+    if path.name == TRANSFORMS[1] and held_out.is_file():
+        test = read_transforms(held_out).views
+    return Capture(path.parent, views, points, colors, test)
 
 
 def _view(path: Path, values: dict, frame: dict) -> View:

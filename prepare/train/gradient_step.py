@@ -25,6 +25,7 @@ class GradientStep:
 
     exposes    colours are mapped before they are compared with a photograph, see `exposure`
     of_camera  gradients with respect to the camera are computed, too
+    cut_out    photographs have opacities: they and the picture are compared over `loss.background`
     """
 
     def __init__(
@@ -37,10 +38,11 @@ class GradientStep:
         sort: str,
         exposes: bool = False,
         of_camera: bool = False,
+        cut_out: bool = False,
     ):
         self.population, self.of_camera = population, of_camera
         self.renderer = Renderer(population.splats, width, height, outputs="float", antialias=antialias, sort=sort)
-        self.loss = ImageLoss(height, width)
+        self.loss = ImageLoss(height, width, cut_out=cut_out)
         self.labelled = FloatImages(1, height, width) if population.labels is not None else None  # pictures of labels
         self.exposure = Exposure(height, width) if exposes else None
         self._passes: _BackwardPass | None = None
@@ -140,7 +142,8 @@ class _BackwardPass:
     def __init__(self, step: GradientStep, bins):
         self.population, self.bins, self.picture, self.loss = step.population, bins, step.renderer.sink, step.loss
         self.exposure, self.exposes = step.exposure, step.exposure is not None
-        self.blend = BlendGradients(bins, self.picture, with_depth=False)
+        background = self.loss.background if self.loss.cut_out else None
+        self.blend = BlendGradients(bins, self.picture, with_depth=False, background=background)
         self.gradients = ProjectionGradients(self.blend, of_camera=step.of_camera)
         labels = self.population.labels
         self.labels = LabelPass(labels, self.blend, step.labelled) if labels is not None else None
@@ -155,12 +158,20 @@ class _BackwardPass:
     @ti.func
     def _compare(self, photograph: ti.template(), height: ti.i32, width: ti.i32, scale: ti.f32, dssim: ti.f32):
         """Write the gradient with respect to the picture, through its exposure; outermost level of a kernel."""
+        self._over_background(height, width)
         if ti.static(self.exposes):
             self.exposure.apply(self.picture.rgb, height, width)
             self.loss.backward(self.exposure.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
             self.exposure.backward(self.picture.rgb, self.blend.d_rgb, height, width)
         else:
             self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
+
+    @ti.func
+    def _over_background(self, height: ti.i32, width: ti.i32):
+        """Lay the picture over the background; outermost level of a kernel."""
+        if ti.static(self.loss.cut_out):
+            for y, x in ti.ndrange(height, width):
+                self.picture.rgb[0, y, x] += (1.0 - self.picture.alpha[0, y, x]) * self.loss.background[0]
 
     @ti.kernel
     def compute_blend(
@@ -182,6 +193,7 @@ class _BackwardPass:
 
     @ti.kernel
     def compare(self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32):
+        self._over_background(height, width)
         for y, x in ti.ndrange(height, width):
             self.picture.rgb[0, y, x] = ti.math.clamp(self.picture.rgb[0, y, x], 0.0, 1.0)  # as they are shown
         self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, 0.0, 0.0)

@@ -28,7 +28,8 @@ class ImageLoss:
     """(1 - lambda) |x - y| + lambda (1 - SSIM(x, y)), the mean over colours and over the pixels that count.
 
     Pixels are at most (height, width); `photograph` is an ndarray u32 R | G<<8 | B<<16 | A<<24, a pixel counts if A
-    is 255. Where it does not, y is set to x, so that the gradient is zero.
+    is above 0. Where it does not, y is set to x, so that the gradient is zero. With `cut_out` the photograph, which is
+    then premultiplied, has the opacity (A - 1) / 254, and lies over `background`, vec3 (1,).
 
     Out: `sums` (SLOTS,), which together are the sums of (|x - y|, (x - y)^2, SSIM over colours, counted pixels) since
     they were set to zero. A pixel adds to one slot, since atomic additions to a single number would be serial on a GPU.
@@ -38,8 +39,10 @@ class ImageLoss:
     with respect to the means of x, x^2 and x y.
     """
 
-    def __init__(self, height: int, width: int):
-        self.fields = f = FieldGroup()
+    def __init__(self, height: int, width: int, *, cut_out: bool = False):
+        self.fields, self.cut_out = FieldGroup(), cut_out
+        f = self.fields
+        self.background = f.vector(1)
         with f.interleaved(height, width):
             self.blurred = [f.vector(height, width) for _ in range(5)]  # along rows: x, y, x^2, y^2, x y
         with f.interleaved(height, width):
@@ -55,7 +58,9 @@ class ImageLoss:
     def pair(self, rgb: ti.template(), photograph: ti.template(), y: ti.i32, x: ti.i32):
         """The rendered and the photographed colour of a pixel, equal where it does not count, and 1 if it does."""
         truth, alpha = unpacked(photograph[y, x])
-        counts = ti.select(alpha == ti.u32(255), 1.0, 0.0)
+        counts = ti.select(alpha > ti.u32(0), 1.0, 0.0)
+        if ti.static(self.cut_out):
+            truth += (255.0 - ti.cast(alpha, ti.f32)) / 254.0 * self.background[0]
         return truth + counts * (rgb[0, y, x] - truth), truth, counts
 
     @ti.func
@@ -151,9 +156,13 @@ class ImageLoss:
         return weight
 
 
-def packed(pixels: np.ndarray, counts: np.ndarray) -> ti.Ndarray:
-    """Pixels (H, W, 3) uint8 on the device: u32 R | G<<8 | B<<16 | A<<24, A = 255 where one `counts` (H, W), else 0."""
-    rgba = np.dstack([pixels, np.where(counts, 255, 0).astype(np.uint8)])
+def packed(pixels: np.ndarray, counts: np.ndarray, alpha: np.ndarray | None = None) -> ti.Ndarray:
+    """Pixels (H, W, 3) uint8 on the device: u32 R | G<<8 | B<<16 | A<<24, A = 0 where one does not count.
+
+    Else A is 1 + 254 times the opacity, by `alpha` (H, W) uint8, 1 if that is None.
+    """
+    opacity = 255 if alpha is None else 1.5 + alpha * (254.0 / 255.0)
+    rgba = np.dstack([pixels, np.where(counts, opacity, 0).astype(np.uint8)])
     image = ti.ndarray(ti.u32, rgba.shape[:2])
     image.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
     return image

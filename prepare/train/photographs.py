@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from prepare.train.capture import View
 
 FILE_MAX = 512 << 20  # [bytes]
 PIXELS_MAX = 1 << 28
+OPAQUE = 127  # of 255; less opaque pixels do not count
 HEADER_BYTES = 1 << 20  # searched for the image size: the preview in a JPEG may come first
 
 
@@ -24,45 +26,76 @@ class Photograph(NamedTuple):
     """An undistorted image (H, W, 3) uint8 RGB, the pixels that count (H, W) bool, and its pinhole camera.
 
     objects  ids of what the pixels show, (H, W) uint8, 0 = background; None where that is not known
+    alpha    opacity (H, W) uint8 of the pixels, which are then over black; None: opaque
     """
 
     pixels: np.ndarray
     mask: np.ndarray
     camera: Camera
     objects: np.ndarray | None = None
+    alpha: np.ndarray | None = None
 
 
 def load_photograph(view: View, reduce: int = 1, objects: np.ndarray | None = None) -> Photograph:
     """The view's photograph and its ids, with width and height divided by `reduce`. Raises BadInput."""
-    pixels, mask = read_image(view.image)
+    if reduce > 1 and view.mask is None and objects is None:
+        image, reduce = smaller_copy(view.image, reduce)
+        view = replace(view, image=image)
+    pixels, opacity = read_image(view.image)
+    mask, alpha = opacity > OPAQUE, None
+    if view.cut_out and not (opacity == 255).all() and mask.any():
+        pixels, mask, alpha = over(pixels, opacity), np.ones_like(mask), opacity
     if view.mask is not None:
         mask &= read_mask(view.mask, mask.shape)
     if not mask.any():
         raise BadInput(f"{view.image}: no pixel counts: it is all transparent, or masked")
     height, width = mask.shape
     lens = view.lens.resized(width, height, str(view.image))
+    if alpha is not None:
+        alpha = lens.undistort(alpha, mask)[0]
     pixels, mask = lens.undistort(pixels, mask)
     if not mask.any():
         raise BadInput(f"{view.image}: its lens, {lens.distortion}, distorts it so much that no pixel is left")
     if objects is not None:
         objects = lens.undistort_labels(objects)
     camera = View(view.image, lens, view.world_to_camera).camera()
-    return reduced(Photograph(pixels, mask, camera, objects), reduce)
+    return reduced(Photograph(pixels, mask, camera, objects, alpha), reduce)
+
+
+def over(pixels: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Pixels (H, W, 3) uint8 of opacity `alpha` (H, W) uint8 over black."""
+    return (pixels * (alpha[..., None] / 255.0) + 0.5).astype(np.uint8)
+
+
+def smaller_copy(image: Path, reduce: int) -> tuple[Path, int]:
+    """The copy of images/NAME in images_N/, as datasets have them for N = `reduce`, and 1; or the image and `reduce`.
+
+    Raises BadInput if the copy has another size.
+    """
+    copy = image.parent.with_name(f"{image.parent.name}_{reduce}") / image.name
+    if not copy.is_file():
+        return image, reduce
+    found, whole = image_size(copy), image_size(image)
+    if any(abs(a - b / reduce) > 1.0 for a, b in zip(found, whole, strict=True)):
+        raise BadInput(f"{copy}: is {found[0]}x{found[1]}, and not {whole[0]}x{whole[1]} divided by {reduce}")
+    return copy, 1
 
 
 def reduced(photograph: Photograph, divisor: int) -> Photograph:
     """The photograph with width and height divided; a pixel counts if all pixels that it averages did."""
     if divisor == 1:
         return photograph
-    pixels, mask, camera, objects = photograph
+    pixels, mask, camera, objects, alpha = photograph
     size = (max(1, camera.width // divisor), max(1, camera.height // divisor))
     pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+    if alpha is not None:
+        alpha = cv2.resize(alpha, size, interpolation=cv2.INTER_AREA)
     if objects is not None:
         there = np.unique(objects)
         shares = [cv2.resize((objects == k).astype(np.float32), size, interpolation=cv2.INTER_AREA) for k in there]
         objects = there[np.argmax(shares, axis=0)]
-    return Photograph(pixels, mask, camera.resized(*size), objects)
+    return Photograph(pixels, mask, camera.resized(*size), objects, alpha)
 
 
 def load_photographs(
@@ -102,15 +135,15 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def read_image(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (H, W, 3) uint8 RGB and the opaque ones (H, W) bool, of 8 or 16 bits, grey or colour. Raises BadInput."""
+    """Pixels (H, W, 3) and opacity (H, W) uint8, of 8 or 16 bits, grey or colour. Raises BadInput."""
     raw = _decode(path)
     if raw.ndim == 2:
         raw = raw[..., None]
-    opaque = raw[..., -1] > np.iinfo(raw.dtype).max // 2 if raw.shape[2] in (2, 4) else np.ones(raw.shape[:2], bool)
     if raw.dtype == np.uint16:
         raw = (raw // 257).astype(np.uint8)
+    opacity = raw[..., -1].copy() if raw.shape[2] in (2, 4) else np.full(raw.shape[:2], 255, np.uint8)
     grey = raw.shape[2] < 3
-    return np.ascontiguousarray(raw[..., [0, 0, 0]] if grey else raw[..., [2, 1, 0]]), opaque
+    return np.ascontiguousarray(raw[..., [0, 0, 0]] if grey else raw[..., [2, 1, 0]]), opacity
 
 
 def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:

@@ -76,7 +76,7 @@ def target(photograph: Photograph, objects: int) -> Target:
         counts = photograph.mask & (ids <= objects)
         known = int(counts.sum())
         mask = packed_labels(ids, counts, objects) if known else None
-    image = packed(photograph.pixels, photograph.mask)
+    image = packed(photograph.pixels, photograph.mask, photograph.alpha)
     return Target(image, photograph.camera, max(1, int(photograph.mask.sum())), mask, known)
 
 
@@ -108,6 +108,7 @@ class Trainer:
     ):
         self.options, self.extent, self.objects = options, extent, tuple(objects)
         self.rng = np.random.default_rng(options.seed)
+        self.cut_out = any(p.alpha is not None for p in photographs)
         capacity = max(options.cap, len(start))
         self.population = Population(start, capacity, options.frozen, labelled=bool(self.objects))
         if options.strategy == "mcmc":
@@ -124,6 +125,7 @@ class Trainer:
             sort=options.sort,
             exposes=options.exposure,
             of_camera=options.poses,
+            cut_out=self.cut_out,
         )
         self.exposures = Exposures(len(cameras)) if options.exposure else None
         self.poses = Poses([c.world_to_camera for c in cameras], extent, options.steps) if options.poses else None
@@ -150,6 +152,8 @@ class Trainer:
         target = self.views.at(view, progress)
         if self.exposures is not None:
             self.gradients.exposure.set(self.exposures.of(view))
+        if self.cut_out:  # another one each time: what is not opaque shows on some
+            self.gradients.loss.background.from_numpy(self.rng.uniform(size=(1, 3)).astype(np.float32))
         mask_scale = SEGMENTATION_WEIGHT / (3 * max(target.known, 1))
         self.gradients.compute(target.image, target.camera, 1.0 / (3 * target.counted), target.mask, mask_scale)
         if self.exposures is not None:
@@ -193,8 +197,10 @@ class Trainer:
         p.remove(in_free_space(p.splats.mean.to_numpy()[: p.count], cameras, radii))
 
     def quality(self, photograph: Photograph) -> Quality:
-        """Quality of the current rendering of a photograph."""
-        return quality_of(self.gradients.compare(packed(photograph.pixels, photograph.mask), photograph.camera))
+        """Quality of the current rendering of a photograph, over white where that is cut out."""
+        self.gradients.loss.background.fill(1.0)
+        image = packed(photograph.pixels, photograph.mask, photograph.alpha)
+        return quality_of(self.gradients.compare(image, photograph.camera))
 
     def recent_loss(self) -> Quality:
         """Mean quality over the steps since the last call."""

@@ -18,6 +18,7 @@ from prepare.train.capture import Lens
 from prepare.train.capture_files import OPENGL_TO_OPENCV, read_capture, read_colmap
 from prepare.train.photographs import load_photograph, read_image
 from prepare.train.structure_from_motion import find_poses, photographs_in, sharpest_frames
+from tests.support.splat_encoders import ply_bytes
 
 WIDTH, HEIGHT = 48, 32
 EYES = [(2.0, 0.5, 0.0), (0.0, 0.6, 2.0), (-2.0, 0.4, 0.1), (0.3, 0.5, -2.0)]
@@ -172,7 +173,46 @@ def test_labels_of_the_pinhole_come_back_through_the_lens(lens):
     assert np.hypot(*(centre - np.argwhere(dot).mean(axis=0)[::-1] - 0.5)) < 1.0 < np.hypot(*(centre - (220.5, 80.5)))
 
 
+def test_a_blender_dataset_brings_its_own_test_photographs_and_opacity(folder):
+    """No sizes, no suffixes; colours lie over black, and every pixel counts."""
+    rgba = np.full((HEIGHT, WIDTH, 4), 200, np.uint8)
+    rgba[:10, :, 3], rgba[10:12, :, 3], rgba[12:, :, 3] = 0, 102, 255
+    for k in range(4):
+        cv2.imwrite(str(folder / "images" / f"{k}.png"), rgba)
+    frames = [{**f, "file_path": f"./images/{k}"} for k, f in enumerate(transforms()["frames"])]
+    for name, part in (("train", frames[:3]), ("test", frames[3:]), ("val", frames[:0])):
+        (folder / f"transforms_{name}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": part}))
+    for given in (folder, folder / "transforms_train.json"):
+        capture = read_capture(given)
+        assert [v.name for v in capture.views] == ["0.png", "1.png", "2.png"]
+        assert [v.name for v in capture.test] == ["3.png"] and len(capture.upright().test) == 1
+    p = load_photograph(capture.views[0])
+    assert p.mask.all() and (p.alpha[:10] == 0).all() and (p.alpha[10:12] == 102).all() and (p.alpha[12:] == 255).all()
+    assert (p.pixels[:10] == 0).all() and (p.pixels[10:12] == 80).all() and (p.pixels[12:] == 200).all()
+    small = load_photograph(capture.views[0], 4)
+    assert small.alpha.shape == small.mask.shape == (8, 12) and small.alpha[2, 0] == 51 and small.pixels[2, 0, 0] == 40
+    (folder / "images" / "3.png").unlink()
+    with pytest.raises(BadInput, match=r"3\.png: no such image \(1 of 4 are missing\)"):
+        read_capture(folder)
+
+
+def test_reduced_photographs_are_taken_from_their_folder(folder):
+    """images_2/ beside images/, if its sizes are what it says."""
+    write(folder, transforms())
+    (folder / "images_2").mkdir()
+    copy = str(folder / "images_2" / "0.png")
+    cv2.imwrite(copy, np.full((HEIGHT // 2, WIDTH // 2, 3), 77, np.uint8))
+    views = read_capture(folder).views
+    p = load_photograph(views[0], 2)
+    assert (p.pixels == 77).all() and p.camera.fx == 20.0 and load_photograph(views[1], 2).pixels.std() > 10
+    assert load_photograph(views[0], 4).pixels.std() > 10 and load_photograph(views[0]).camera.width == WIDTH
+    cv2.imwrite(copy, np.zeros((HEIGHT // 4, WIDTH // 4, 3), np.uint8))
+    with pytest.raises(BadInput, match=r"images_2.0\.png: is 12x8, and not 48x32 divided by 2"):
+        load_photograph(views[0], 2)
+
+
 def test_transparent_and_masked_pixels_do_not_count(folder):
+    (folder / "sparse_pc.ply").write_bytes(ply_bytes(dict.fromkeys("xyz", np.zeros(9))))
     rgba = np.full((HEIGHT, WIDTH, 4), 200, np.uint8)
     rgba[:10, :, 3] = 0
     cv2.imwrite(str(folder / "images" / "0.png"), rgba)

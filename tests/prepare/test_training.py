@@ -19,8 +19,9 @@ from prepare.train.densification import AdaptiveDensity, MonteCarlo, logit, shar
 from prepare.train.image_loss import SIDE_MIN, lpips_distance
 from prepare.train.photographs import Photograph
 from prepare.train.population import AdamStep
-from prepare.train.seeds import CELLS, seeds, with_background
+from prepare.train.seeds import CELLS, seeds, where_cameras_look, with_background
 from prepare.train.trainer import Trainer, TrainOptions, read_checkpoint, write_checkpoint
+from tests.support import reference_render as reference
 from tests.support.painted_capture import SIDE, cameras, painted_gaussians, photographs, sparse_points, write_capture
 from vrgs import main
 
@@ -227,8 +228,59 @@ def test_the_first_gaussians_are_as_wide_as_their_neighbours_are_far(tmp_path):
     distances = np.sort(np.linalg.norm(g.means[:, None] - g.means, axis=2), axis=1)[:, 1:4]
     assert_allclose(np.exp(g.log_scales[:, 0]), np.sqrt((distances**2).mean(axis=1)), rtol=1e-4)
     assert_allclose(g.opacities, 0.1, atol=1e-6)
-    lost = Capture(tmp_path, given.views)
-    assert len(seeds(lost, degree=0, count=40, rng=rng)) == 40  # without points: at random
+
+
+def cut_out_photographs() -> list[Photograph]:
+    """The painted Gaussians on transparent ground."""
+    found = []
+    for p in photographs():
+        alpha = (255 * reference.render(painted_gaussians(), p.camera)[1].clip(0, 1)).round().astype(np.uint8)
+        found.append(p._replace(alpha=alpha))
+    return found
+
+
+def test_without_points_the_first_gaussians_lie_where_cameras_look(tmp_path):
+    """Half of them about what is looked at, the others behind all cameras; of cut-out photographs all within these."""
+    given, rng = replace(capture(tmp_path), points=np.zeros((0, 3))), np.random.default_rng(0)
+    away = np.linalg.norm(where_cameras_look(given, photographs(), rng, 1000).points - given.looked_at(), axis=1)
+    assert 0.4 < (away < 1.2).mean() < 0.6 and 0.4 < (away > given.extent - 0.5).mean() < 0.6  # cameras: 2 away
+    hull = where_cameras_look(given, cut_out_photographs(), rng, 1000).points
+    assert len(hull) > 500 and np.linalg.norm(hull, axis=1).max() < 1.3
+    for p in cut_out_photographs():
+        x, y, _ = p.camera.projected(hull)
+        inside = (np.minimum(x, y) >= 0) & (np.maximum(x, y) < SIDE)
+        assert (p.alpha[y[inside].astype(int), x[inside].astype(int)] > 127).all()
+    outward = [
+        replace(p.camera, world_to_camera=np.diag([1.0, -1, -1, 1]) @ p.camera.world_to_camera) for p in photographs()
+    ]
+    apart = replace(
+        given, views=[replace(v, world_to_camera=c.world_to_camera) for v, c in zip(given.views, outward, strict=True)]
+    )
+    around = where_cameras_look(
+        apart, [p._replace(camera=c) for p, c in zip(photographs(), outward, strict=True)], rng, 1000
+    ).points
+    assert np.linalg.norm(around - apart.middle, axis=1).min() > 0.999 * apart.extent  # none among the cameras
+
+
+def test_nothing_stays_where_cut_out_photographs_show_nothing(ti_cpu, tmp_path):
+    """Fog in front of all, black as the pixels are, goes: it shows on other backgrounds."""
+    given, pictures = capture(tmp_path), cut_out_photographs()
+    rng = np.random.default_rng(0)
+    fog = replace(given, points=rng.uniform(-1, 1, (CAP, 3)), colors=np.zeros((CAP, 3), np.uint8))
+    start = seeds(fog, degree=0, count=CAP, rng=rng)
+    trainer = Trainer(pictures[1:], start, given.extent, TrainOptions(steps=300, cap=CAP, degree=0))
+    empty = pictures[0].alpha == 0
+
+    def shown() -> float:
+        trainer.gradients.draw(pictures[0].camera)
+        return float(trainer.gradients.renderer.alpha.to_numpy()[0][empty].mean())
+
+    before = shown()
+    for _ in range(300):
+        trainer.step()
+    after, quality = shown(), trainer.quality(pictures[0])
+    trainer.destroy()
+    assert before > 0.3 and after < 0.03 and quality.psnr > 12.0
 
 
 def test_parts_of_photographs_without_sparse_points_get_points_behind_all_cameras(tmp_path):

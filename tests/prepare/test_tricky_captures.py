@@ -54,7 +54,10 @@ def test_photographs_of_all_kinds_train_together_without_points(ti_cpu, tmp_path
     words = ["--steps", "30", "--cap", "400", "--degree", "0", "--arch", "cpu", "--checkpoint-every", "0"]
     assert main(["train", str(folder), "--out", str(tmp_path / "a.ply"), *words]) == 0
     said = capsys.readouterr()
-    assert "3 sizes up to 96x96 take 0.2" in said.err and "no points: starting with 100 random Gaussians" in said.err
+    assert (
+        "3 sizes up to 96x96 take 0.2" in said.err
+        and "no points: starting with 100 Gaussians where cameras look" in said.err
+    )
     assert "2 held-out photographs" in said.out
     assert len(read_gaussians(tmp_path / "a.ply")) >= 90  # some of the random ones hung beside a camera
 

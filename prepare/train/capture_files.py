@@ -32,6 +32,7 @@ TRANSFORMS = ("transforms.json", "transforms_train.json")
 TRANSFORMS_TEST = "transforms_test.json"  # beside the latter; transforms_val.json is for neither
 FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", ".")  # of a capture, in which models lie
 IMAGE_FOLDERS = ("images", ".")
+SIDE_MISSING = 1000  # [px] of images that are not there, until `checked` has counted them
 NAME_MAX = 4096  # [bytes]
 # COLMAP's model number: name, focal lengths (1 or 2), coefficients of OpenCV's in the order of the file, fisheye
 COLMAP_MODELS = {
@@ -170,7 +171,7 @@ def _frame_lens(where: str, values: dict, image: Path) -> Lens:
 
     width, height = number("w"), number("h")
     if width is None or height is None:
-        width, height = image_size(image)
+        width, height = image_size(image) if isfile(image) else (SIDE_MISSING, SIDE_MISSING)
     fx = number("fl_x")
     if fx is None:
         angle = number("camera_angle_x")

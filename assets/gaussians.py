@@ -39,6 +39,7 @@ class Gaussians:
     objects          names of the objects 1, 2, ...; an object beyond them has no name
     sort             order of blending that they were trained for, one of SORTS, or "" if that is not known
     antialias        True if they were trained for anti-aliased drawing (Mip-Splatting); they are too thick without
+    view             eye and target (6,) of a photographer, where they come from photographs; +y is up then
     """
 
     means: np.ndarray
@@ -50,6 +51,7 @@ class Gaussians:
     objects: tuple[str, ...] = ()
     sort: str = ""
     antialias: bool = False
+    view: tuple[float, ...] = ()
 
     @classmethod
     def of(
@@ -117,8 +119,10 @@ class Gaussians:
         quats = multiply_quaternions(quaternions_from_matrices(rotation)[None], self.quats)
         sh = rotate_sh(self.sh, rotation)
         log_scales = self.log_scales + np.log(scale)
-        about = self.object_id, self.objects, self.sort, self.antialias
-        return Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, *about)
+        view = scale * np.reshape(self.view, (-1, 3)) @ rotation.T + np.asarray(translation)
+        rows = Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, self.object_id)
+        about = {"objects": self.objects, "sort": self.sort, "antialias": self.antialias}
+        return replace(rows, **about, view=tuple(view.ravel().tolist()))
 
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, unless there are Gaussians and all of them can be drawn."""

@@ -6,7 +6,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -116,9 +116,11 @@ def train(options: TrainOptions, capture: Capture | None = None) -> None:
         print(f"no photograph is held out for testing: fewer than {options.test_every} (--test-every)", file=sys.stderr)
     with _lowering(train, options):
         trainer, about, progress = _trained(options, capture, train, masks.names if masks else [])
-    seconds = time.perf_counter() - progress.begin
+        seconds = time.perf_counter() - progress.begin
+        leave_out_unneeded(trainer, [p.camera for p in train])
     qualities = [trainer.quality(p) for p in test]
     gaussians = identified(trainer) if masks else trainer.gaussians()
+    gaussians = replace(gaussians, view=capture.photographer())
     write_gaussians(options.out, gaussians, _say)
     _checkpoint(options).unlink(missing_ok=True)
     numbers = {"gaussians": len(gaussians), "seconds": seconds, "steps": trainer.done, "views": len(train)}
@@ -133,6 +135,17 @@ def train(options: TrainOptions, capture: Capture | None = None) -> None:
         numbers["objects"] = _objects(options, trainer, test, gaussians)
     if options.report:
         write_report(options.report, numbers, trainer, test, qualities, masks and (masks.colors, gaussians.object_id))
+
+
+def leave_out_unneeded(trainer, cameras: list) -> None:
+    """Remove the Gaussians that no photograph needs."""
+    from prepare.room_capture.contributions import contributions, needed
+
+    g = trainer.gaussians()
+    keep = needed(g, cameras, contributions(g, cameras))
+    if keep.any():
+        trainer.population.remove(~keep)
+        _say(f"{(~keep).sum()} of {len(g)} Gaussians are left out: no photograph needs them")
 
 
 def _trained(options: TrainOptions, capture, train: list, objects: list[str]) -> tuple:

@@ -45,7 +45,9 @@ class RenderOptions(cli.Options):
     up: cli.Axis | None = cli.option(None, "turntable: the file's up axis (default: guessed)")
     size: cli.Size = cli.option("WxH", "turntable: picture size (default 960x540)", SIZE)
     frames: cli.Count = cli.option("N", "turntable: number of pictures (default 180)", 180)
-    elevation: cli.Elevation = cli.option("DEG", "turntable: elevation of the camera (default 15)", 15.0)
+    elevation: cli.Elevation | None = cli.option(
+        "DEG", "turntable: elevation of the camera (default 15; of what was trained that of the photographs)"
+    )
     sort: cli.Sort | None = cli.sort_option(DEFAULT_SORT)
     antialias: bool = cli.switch("opacity compensation of Mip-Splatting (default: as the file was trained)")
     arch: cli.Arch | None = cli.arch_option()
@@ -147,9 +149,10 @@ def film_turntable(options: RenderOptions) -> None:
             background=BACKGROUND,
         )
         line = ProgressLine()
+        elevation = None if options.elevation is None else np.radians(options.elevation)
         for k in range(options.frames):
             yaw = 2 * np.pi * k / options.frames
-            renderer.render([camera_around(gaussians, width, height, yaw, elevation=np.radians(options.elevation))])
+            renderer.render([camera_around(gaussians, width, height, yaw, elevation=elevation)])
             video.write(pixels_of(renderer.picture))
             line.show(f"frame {k + 1} of {options.frames}")
         line.end()

@@ -65,10 +65,10 @@ class ViewedFile:
     def read(cls, path: str | Path, up: str | None) -> ViewedFile:
         """Read a file and turn it so that its axis `up` is +y. Raises BadInput.
 
-        None: the most probable axis is guessed, but for a prepared asset and a .glb, of which +y is up.
+        None: the most probable axis is guessed, but for a prepared asset, a .glb and what was trained, of which +y is up.
         """
         gaussians, chances = read_gaussians(path), {}
-        if up is None and not str(path).lower().endswith((".h5", ".glb")):
+        if up is None and not str(path).lower().endswith((".h5", ".glb")) and not gaussians.view:
             chances = up_probabilities(gaussians)
         up = max(chances, key=chances.get) if chances else up or "+y"
         note = f"{up} is up"
@@ -165,16 +165,31 @@ def middle_and_radius(gaussians: Gaussians) -> tuple[np.ndarray, float]:
 
 
 def view_around(
-    gaussians: Gaussians, aspect: float, yaw: float = 0.0, elevation: float = ELEVATION
+    gaussians: Gaussians, aspect: float, yaw: float = 0.0, elevation: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eye and target (3,) [m] that show all Gaussians, from `yaw` right of and `elevation` above them [rad]."""
+    """Eye and target (3,) [m] that show all Gaussians, from `yaw` right of and `elevation` above them [rad].
+
+    Those from photographs are seen from where they were photographed, and orbit what was looked at.
+    """
+    if gaussians.view:
+        eye, middle = np.reshape(gaussians.view, (2, 3))
+        x, y, z = eye - middle
+        away, yaw = np.linalg.norm(eye - middle), yaw + np.arctan2(x, z)
+        elevation = np.arcsin(y / away) if elevation is None else elevation
+        return middle + away * _direction(yaw, elevation), middle
     middle, radius = middle_and_radius(gaussians)
     narrow = np.arctan(np.tan(0.5 * FOV_Y) * min(aspect, 1.0))
-    direction = np.array([np.sin(yaw) * np.cos(elevation), np.sin(elevation), np.cos(yaw) * np.cos(elevation)])
+    direction = _direction(yaw, ELEVATION if elevation is None else elevation)
     return middle + DISTANCE_MARGIN * radius / np.sin(narrow) * direction, middle
 
 
-def camera_around(gaussians: Gaussians, width: int, height: int, yaw: float, *, elevation: float = ELEVATION) -> Camera:
+def _direction(yaw: float, elevation: float) -> np.ndarray:
+    return np.array([np.sin(yaw) * np.cos(elevation), np.sin(elevation), np.cos(yaw) * np.cos(elevation)])
+
+
+def camera_around(
+    gaussians: Gaussians, width: int, height: int, yaw: float, *, elevation: float | None = None
+) -> Camera:
     """A camera that shows all Gaussians from `yaw` [rad]."""
     return perspective(width, height, FOV_Y, look_at(*view_around(gaussians, width / height, yaw, elevation)))
 

@@ -5,7 +5,8 @@ Plain: one vertex a Gaussian (3D Gaussian Splatting, Kerbl et al. 2023),
 channel-major, `opacity` a logit, `scale` a natural log, `rot` wxyz and not normalised. Of a splat with
 objects there is an integer property `object_id` too, and a line `comment object 1 bear` for each name; a line
 `comment sort radial` says which order of blending they were trained for, `comment SplatRenderMode: mip` (of Brush; of
-Postshot: `comment antialiased 1`) that it was for anti-aliased drawing.
+Postshot: `comment antialiased 1`) that it was for anti-aliased drawing, `comment view` where a photographer stood and
+what was looked at, six numbers.
 
 Compressed: 16 bytes a Gaussian, and ranges shared by 256 of them. The element `chunk` holds the least and greatest
 position, log-scale and (since 2024) colour of 256 Gaussians; `vertex` four 32-bit words that lie between these; `sh`,
@@ -26,7 +27,7 @@ from numpy.lib.recfunctions import structured_to_unstructured
 
 from assets.file_access import atomic_write, open_input
 from assets.formats.packing import ALPHA_EPSILON, bytes_from_logits, join_largest, logits_from_bytes, split_largest
-from assets.gaussians import OBJECTS_MAX, SORTS, Gaussians, Report, drawable_gaussians, is_object_name
+from assets.gaussians import MAGNITUDE_MAX, OBJECTS_MAX, SORTS, Gaussians, Report, drawable_gaussians, is_object_name
 from core.errors import BadInput
 from core.morton import morton_order
 from core.spherical_harmonics import C0
@@ -119,7 +120,7 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     with open_input(path) as file:
         order, elements, comments = read_header(path, file)
         about = {"sort": next((sort for sort in SORTS if f"sort {sort}" in comments), "")}
-        about["antialias"] = _is_antialiased(comments)
+        about |= {"antialias": _is_antialiased(comments), "view": _view(comments)}
         vertex = next((e for e in elements if e.name == "vertex"), None)
         if vertex is None:
             raise BadInput(f"{path}: has no vertex element")
@@ -142,7 +143,18 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     ids, objects = None, ()
     if "object_id" in vertex.names:
         ids, objects = _object_ids(path, rows["object_id"], report), _object_names(comments)
-    return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects, **about)
+    return replace(drawable_gaussians(path, *shape, report, object_id=ids, objects=objects), **about)
+
+
+def _view(comments: list[str]) -> tuple[float, ...]:
+    """The view of the comments of a header, () if there is none that can be used."""
+    words = next((c.split()[1:] for c in comments if c.startswith("view ")), [])
+    try:
+        view = tuple(float(w) for w in words)
+    except ValueError:
+        return ()
+    usable = len(view) == 6 and (np.abs(view) < MAGNITUDE_MAX).all() and view[:3] != view[3:]  # NaN compares false
+    return view if usable else ()
 
 
 def read_vertices(path: Path) -> np.ndarray:
@@ -192,8 +204,9 @@ def _is_antialiased(comments: list[str]) -> bool:
 
 
 def _about(g: Gaussians) -> list[str]:
-    """Lines of a header: how the Gaussians were trained."""
-    return [f"comment sort {g.sort}"] * bool(g.sort) + ["comment SplatRenderMode: mip"] * g.antialias
+    """Lines of a header: how the Gaussians were trained, and from where they are seen."""
+    view = ["comment view " + " ".join(f"{v:.7g}" for v in g.view)] if g.view else []
+    return view + [f"comment sort {g.sort}"] * bool(g.sort) + ["comment SplatRenderMode: mip"] * g.antialias
 
 
 def _check_vertex(path: Path, vertex: Element) -> int:

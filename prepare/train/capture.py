@@ -201,6 +201,19 @@ class Capture:
         )
         return replace(self, views=views, test=test, points=self.points @ turn[:3, :3].T)
 
+    def photographer(self) -> tuple[float, ...]:
+        """A camera as far from what is looked at as most, and the point: eye and target (6,).
+
+        The point lies ahead of the camera where the cameras look away from each other.
+        """
+        target, places = self.looked_at(), np.array([v.position for v in self.views])
+        away = np.linalg.norm(places - target, axis=1)
+        k = int(np.argmin(np.abs(away - np.median(away))))
+        ahead = self.views[k].world_to_camera[2, :3]
+        if (target - places[k]) @ ahead < 0.5 * away[k] or away[k] == 0.0:
+            target = places[k] + self.extent * ahead
+        return (*map(float, places[k]), *map(float, target))
+
     def looked_at(self) -> np.ndarray:
         """The point nearest to the axes of all cameras, (3,); the middle of the cameras where those are parallel."""
         ahead = np.array([v.world_to_camera[2, :3] for v in self.views])

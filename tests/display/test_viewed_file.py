@@ -8,13 +8,13 @@ import pytest
 
 from assets.formats.ply import write_ply
 from assets.gaussians import Gaussians
-from assets.splat_files import read_gaussians
+from assets.splat_files import read_gaussians, write_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from display import user_commands
 from display.panel import Slider, crop_section
 from display.protocol import Frame, Line
-from display.viewed_file import UP_AXES, ViewedFile, scene_around
+from display.viewed_file import UP_AXES, ViewedFile, camera_around, scene_around
 from display.viewer import BACKGROUNDS, Viewer
 from display.window.overlay import visible_part
 
@@ -114,3 +114,26 @@ def test_the_viewer_shows_one_file_after_the_other(file, tmp_path, ti_cpu):
     assert "no such file" in world.notice and world.file_number == (3, 3)
     step(user_commands.NextFile())
     assert world.file.crop is not None and step()[52, 48].tolist() == [0, 0, 0]
+
+
+def test_what_was_trained_is_first_seen_from_where_it_was_photographed(tmp_path):
+    """A far background does not count; moved and scaled, the view comes along. A view that is none is ignored."""
+    rng, turn = np.random.default_rng(0), np.tile([1.0, 0.0, 0.0, 0.0], (80, 1))
+    means = np.concatenate([rng.uniform(-0.5, 0.5, (40, 3)), rng.normal(size=(40, 3)) * 100])
+    g = Gaussians.of(means, turn, np.full((80, 3), -3.0), np.full(80, 2.0), np.zeros((80, 1, 3)))
+    eye, target = (3.0, 1.0, 0.0), (0.0, 0.0, 0.5)
+    seen = replace(g, view=(*eye, *target))
+    for name in ("a.compressed.ply", "a.ply"):
+        write_gaussians(tmp_path / name, seen)
+        file = ViewedFile.read(tmp_path / name, None)
+        scene = scene_around(file.gaussians, 1.5)
+        assert np.allclose((scene.eye, scene.target), (eye, target), atol=1e-6) and file.note == "+y is up"
+    assert np.allclose(camera_around(file.gaussians, 60, 40, np.pi).position, (-3.0, 1.0, 1.0), atol=1e-5)
+    level = camera_around(file.gaussians, 60, 40, 0.0, elevation=0.0).position - target
+    assert abs(level[1]) < 1e-9 and np.isclose(np.linalg.norm(level), np.linalg.norm(np.subtract(eye, target)))
+    moved = seen.transformed(np.eye(3), (1.0, 2.0, 3.0), 2.0).view
+    assert moved == (7.0, 4.0, 3.0, 1.0, 2.0, 4.0) and g.transformed(np.eye(3)).view == ()
+    whole = (tmp_path / "a.ply").read_bytes()
+    for words in (b"view 1 2 3 nan 5 6", b"view 1 2 3 1 2 3", b"view 1 2 a", b"view 1"):
+        (tmp_path / "b.ply").write_bytes(whole.replace(b"view 3 1 0 0 0 0.5", words))
+        assert ViewedFile.read(tmp_path / "b.ply", None).gaussians.view == ()

@@ -92,8 +92,24 @@ def checked(capture: Capture) -> Capture:
     reach = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
     if reach <= SPREAD_MIN * max(1.0, np.abs(places).max()):
         raise BadInput(f"{capture.folder}: all cameras stand in one place; depth shows only from several places")
+    for view in named:
+        size = image_size(view.image)
+        view.lens.resized(*size, str(view.image))
+        if view.mask is not None and (found := image_size(view.mask)) != size:
+            raise BadInput(f"{view.mask}: the mask is {found[0]}x{found[1]}, its image {size[0]}x{size[1]}")
     finite = (np.abs(capture.points) < MAGNITUDE_MAX).all(axis=1)  # NaN compares false
-    return replace(capture, views=views, points=capture.points[finite], colors=capture.colors[finite])
+    capture = replace(capture, views=views, points=capture.points[finite], colors=capture.colors[finite])
+    blind = sum(not _sees_any(view, capture.points) for view in views)
+    if len(capture.points) and blind > len(views) / 2:
+        text = "the poses are of another set, or their axes point elsewhere"
+        raise BadInput(f"{capture.folder}: {blind} of {len(views)} cameras see none of the points: {text}")
+    return capture
+
+
+def _sees_any(view: View, points: np.ndarray) -> bool:
+    """True if a point lies in the picture."""
+    lens, (x, y, z) = view.lens, view.camera().projected(points)
+    return bool(((z > 0.0) & (x >= 0.0) & (x < lens.width) & (y >= 0.0) & (y < lens.height)).any())
 
 
 def rigid(matrix, where: str) -> np.ndarray:

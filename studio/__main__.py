@@ -49,6 +49,7 @@ def parser() -> argparse.ArgumentParser:
     capture = made.add_argument_group("a capture whose truth is known")
     text = "photograph toys on a table, modelled and ray-cast, into this new folder, with masks, depths and truth.json"
     capture.add_argument("--capture", type=Path, metavar="FOLDER", help=text)
+    capture.add_argument("--cut-out", action="store_true", help="toys on transparent ground, as a Blender dataset")
     capture.add_argument("--views", type=int, metavar="N", help="photographs (default 40)")
     capture.add_argument("--size", type=picture_size, metavar="WxH", help="of a photograph [px] (default 480x360)")
     capture.add_argument("--seed", type=int, metavar="S", help="of the toys' places and the cameras (default 0)")
@@ -73,6 +74,8 @@ def run(args: argparse.Namespace) -> None:
         return
     for name in (name for name in DEFAULTS if getattr(args, name) is not None):
         raise BadInput(f"--{name} belongs to --capture")
+    if args.cut_out:
+        raise BadInput("--cut-out belongs to --capture")
     if args.force and args.detail != "paper":
         raise BadInput("--force belongs to --detail paper; the others always build")
     if args.detail == "paper":
@@ -113,7 +116,7 @@ def build_capture(args: argparse.Namespace) -> None:
         raise BadInput(f"--views {chosen['views']}: a capture has at least {VIEWS_MIN}")
     if chosen["seed"] < 0 or not 0 < chosen["scale"] < 1e9:
         raise BadInput("--seed is 0 or more, --scale more than 0")
-    write_procedural_capture(args.capture, CaptureOptions(*chosen.values()), clock())
+    write_procedural_capture(args.capture, CaptureOptions(**chosen, cut_out=args.cut_out), clock())
     print(f"{args.capture}: {chosen['views']} photographs of {chosen['size'][0]}x{chosen['size'][1]}")
 
 

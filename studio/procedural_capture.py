@@ -51,6 +51,7 @@ ARC = (-88.0, 80.0)  # [degrees] about the table, from which it is photographed;
 RADII, HEIGHTS = (0.95, 1.35), (0.22, 0.85)  # [m] of the cameras: from the table's middle, above its top
 AIM = (0.0, 0.06, 0.0)  # [m] from the middle of the table's top
 FOV_Y = 50.0  # [degrees]
+CUT_OUT_RADIUS = 1.3  # [m] of the hemisphere from which toys on transparent ground are seen
 FULL_HEIGHT = 360  # [px] of a picture for which models and light are as fine as they get
 FINE_MIN = 0.15
 SPARSE_POINTS = 6000
@@ -71,6 +72,7 @@ class CaptureOptions:
     up      axis of the capture's world that points up
     scale   units of the capture's world in a metre
     side    squared rays a pixel of a photograph
+    cut_out the toys alone, on transparent ground, as a Blender dataset of `views` and a quarter as many to test
     """
 
     views: int = 40
@@ -79,6 +81,7 @@ class CaptureOptions:
     up: str = "+y"
     scale: float = 1.0
     side: int = 2
+    cut_out: bool = False
 
 
 def write_procedural_capture(folder: Path, options: CaptureOptions, report: Callable[[str], None] = print) -> None:
@@ -89,7 +92,7 @@ def write_procedural_capture(folder: Path, options: CaptureOptions, report: Call
     beside = part_beside(folder)
     try:
         beside.mkdir()
-        _write(beside, options, report)
+        (_write_cut_out if options.cut_out else _write)(beside, options, report)
         if folder.exists():
             folder.rmdir()
         beside.rename(folder)
@@ -185,10 +188,7 @@ def _write(folder: Path, options: CaptureOptions, report: Callable[[str], None])
     names = [f"images/frame_{k + 1:05}.png" for k in range(len(views))]
     frames = []
     for name, camera in zip(names, views, strict=True):
-        pose = np.eye(4)
-        pose[:3, :3] = turn @ camera.world_to_camera[:3, :3].T
-        pose[:3, 3] = scale * turn @ camera.position
-        frames.append({"file_path": name, "transform_matrix": (pose @ OPENGL_TO_OPENCV).tolist()})
+        frames.append({"file_path": name, "transform_matrix": _pose(camera, turn, scale)})
     c = views[0]
     lens = {"camera_model": "PINHOLE", "w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
     _write_json(folder / "transforms.json", lens | {"ply_file_path": "sparse_pc.ply", "frames": frames})
@@ -199,6 +199,42 @@ def _write(folder: Path, options: CaptureOptions, report: Callable[[str], None])
     points, paint = _sparse_points(scene, views, colors, rng)
     _write_points(folder / "sparse_pc.ply", scale * points @ turn.T, paint)
     _write_json(folder / "truth.json", _truth(scene, objects, options, turn))
+
+
+def _write_cut_out(folder: Path, options: CaptureOptions, report: Callable[[str], None]) -> None:
+    """Write the toys on transparent ground, seen from a hemisphere, in the layout of Blender's datasets."""
+    import cv2
+
+    rng = np.random.default_rng(options.seed)
+    fine = float(np.clip(options.size[1] / FULL_HEIGHT, FINE_MIN, 1.0))
+    shapes = [s for parts, _, _ in placed_objects(rng, fine).values() for s in parts]
+    scene = TracedScene(shapes, openings()[0], fine=fine, rng=rng)
+    scene.prepare(())
+    turn, scale, (width, height) = AXES[options.up], options.scale, options.size
+    for part, count in (("train", options.views), ("test", max(1, options.views // 4))):
+        (folder / part).mkdir()
+        frames = []
+        for k in range(count):
+            up, around = rng.uniform(0.05, 0.95), rng.uniform(0.0, 2.0 * np.pi)
+            way = np.array([np.sqrt(1 - up**2) * np.cos(around), up, np.sqrt(1 - up**2) * np.sin(around)])
+            target = np.array(TABLE_AT) + AIM
+            camera = perspective(width, height, np.radians(FOV_Y), look_at(target + CUT_OUT_RADIUS * way, target))
+            picture = take_picture(scene, camera, options.side)
+            color = picture.pixels / np.maximum(picture.alpha, 0.5 / options.side**2)[..., None]
+            rgba = np.dstack([color[..., ::-1], 255 * picture.alpha]).round().clip(0, 255).astype(np.uint8)
+            (folder / part / f"r_{k}.png").write_bytes(cv2.imencode(".png", rgba)[1].tobytes())
+            frames.append({"file_path": f"./{part}/r_{k}", "transform_matrix": _pose(camera, turn, scale)})
+        angle = 2.0 * float(np.arctan(0.5 * width / camera.fx))
+        _write_json(folder / f"transforms_{part}.json", {"camera_angle_x": angle, "frames": frames})
+        report(f"{count} pictures to {part}")
+
+
+def _pose(camera: Camera, turn: np.ndarray, scale: float) -> list:
+    """The transform_matrix of a camera, in a world that is turned and scaled."""
+    pose = np.eye(4)
+    pose[:3, :3] = turn @ camera.world_to_camera[:3, :3].T
+    pose[:3, 3] = scale * turn @ camera.position
+    return (pose @ OPENGL_TO_OPENCV).tolist()
 
 
 def _write_pictures(folder: Path, name: str, picture: Picture) -> None:

@@ -236,12 +236,16 @@ def camera_rays(camera: Camera, dx: float = 0.0, dy: float = 0.0) -> tuple[np.nd
 
 @dataclass(frozen=True)
 class Picture:
-    """A view: pixels (H, W, 3) uint8, object ids (H, W) uint8 and depth along the axis (H, W) [m] at pixel centres."""
+    """A view: pixels (H, W, 3) uint8, object ids (H, W) uint8 and depth along the axis (H, W) [m] at pixel centres.
+
+    alpha  (H, W), the share of a pixel's rays that hit anything
+    """
 
     pixels: np.ndarray
     ids: np.ndarray
     depth: np.ndarray
     without: dict[int, np.ndarray]
+    alpha: np.ndarray
 
 
 def take_picture(scene: TracedScene, camera: Camera, side: int, without: Sequence[int] = ()) -> Picture:
@@ -271,7 +275,9 @@ def take_picture(scene: TracedScene, camera: Camera, side: int, without: Sequenc
         radiance = albedo * scene.light(hits, k) + emitted
         radiance[o] = a * scene.light(seen, k) + e
         pictures[k] = mean(radiance)
-    return Picture(mean(albedo * scene.light(hits) + emitted), ids.reshape(shape), depth.reshape(shape), pictures)
+    alpha = np.isfinite(hits.distance).reshape(side**2, *shape).mean(axis=0)
+    seen = mean(albedo * scene.light(hits) + emitted)
+    return Picture(seen, ids.reshape(shape), depth.reshape(shape), pictures, alpha)
 
 
 def join_hits(parts: list[Hits]) -> Hits:

@@ -54,6 +54,15 @@ def test_a_capture_is_read_as_any_other(folder):
     assert sorted(masks.names) == sorted(OBJECTS) and all(masks.pixels(n) > 50 * VIEWS for n in ("teddy", "parcel"))
 
 
+def test_toys_on_transparent_ground_are_a_blender_dataset(tmp_path):
+    write_procedural_capture(tmp_path / "toys", CaptureOptions(4, (48, 48), cut_out=True), lambda line: None)
+    capture = read_capture(tmp_path / "toys")
+    assert (len(capture.views), len(capture.test)) == (4, 1)
+    p = load_photograph(capture.views[0])
+    assert 0.03 < (p.alpha == 255).mean() < 0.6 < (p.alpha == 0).mean() + 0.5 and p.pixels[p.alpha == 255].mean() > 40
+    assert np.linalg.norm(capture.looked_at() - capture.views[0].position) == pytest.approx(1.3, abs=1e-3)
+
+
 def test_its_marks_are_two_strokes_inside_of_each_object(folder):
     views = read_capture(folder).views
     masks = read_masks(folder / "masks", views)

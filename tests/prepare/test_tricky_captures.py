@@ -59,7 +59,7 @@ def test_photographs_of_all_kinds_train_together_without_points(ti_cpu, tmp_path
         and "no points: starting with 100 Gaussians where cameras look" in said.err
     )
     assert "2 held-out photographs" in said.out
-    assert len(read_gaussians(tmp_path / "a.ply")) >= 90  # some of the random ones hung beside a camera
+    assert len(read_gaussians(tmp_path / "a.ply")) >= 20  # the others no photograph needs, or they hang beside a camera
 
 
 def test_all_of_few_photographs_are_learned_from():

@@ -13,7 +13,7 @@ from assets.asset import Asset
 from assets.file_access import file_size, open_input
 from assets.formats.gaussian_glb import has_splats, read_glb, write_glb
 from assets.formats.ply import read_ply, write_compressed, write_ply
-from assets.formats.sog import read_sog
+from assets.formats.sog import read_sog, write_sog
 from assets.formats.splat import read_ksplat, read_splat, write_splat
 from assets.formats.spz import read_spz, write_spz
 from assets.gaussians import Gaussians, Report
@@ -79,9 +79,16 @@ READERS = {
     ".h5": lambda path, report: Asset.load(path).gaussians,
 }
 COMPRESSED = ".compressed.ply"  # both suffixes, as PlayCanvas's tools name it; recognised by content on reading
-WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat, ".glb": write_glb}
+WRITERS = {
+    ".ply": write_ply,
+    COMPRESSED: write_compressed,
+    ".spz": write_spz,
+    ".splat": write_splat,
+    ".sog": write_sog,
+    ".glb": write_glb,
+}
 KEEP_OBJECTS = (".ply", ".glb", ".h5")
-KEEP_TRAINED = (".ply", COMPRESSED, ".spz", ".glb", ".h5")
+KEEP_TRAINED = (".ply", COMPRESSED, ".spz", ".sog", ".glb", ".h5")
 MAGICS = {
     b"ply\n": ".ply",
     b"ply\r": ".ply",
@@ -135,7 +142,7 @@ def kind_to_write(path: str | Path) -> str:
 
 
 def write_gaussians(path: str | Path, g: Gaussians, report: Report = print, **options) -> None:
-    """Write a .ply, .compressed.ply, .spz, .splat or .glb, in one step: either the whole file or none. Raises BadInput.
+    """Write a .ply, .compressed.ply, .spz, .splat, .sog or .glb, in one step: the whole file or none. Raises BadInput.
 
     options  of the format's own function.
     `report` takes a line if the format keeps no objects and there are some, or not how they were trained.

@@ -23,7 +23,7 @@ from commands.play_options import PREPARATION, STATE, PlayOptions, SceneOptions
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
-Kind = Literal["ply", "compressed.ply", "spz", "splat", "glb", "vtu", "obj"]
+Kind = Literal["ply", "compressed.ply", "spz", "splat", "sog", "glb", "vtu", "obj"]
 PROGRESS_SIZE_MIN = 20 << 20  # [bytes] of input; less takes about a second
 
 
@@ -112,7 +112,7 @@ class ConvertOptions(cli.Options):
     )
 
     input: Path = cli.argument("IN", f"{cli.SPLATS} or .h5")
-    output: Path = cli.argument("OUT", ".ply, .compressed.ply, .spz, .splat or .glb")
+    output: Path = cli.argument("OUT", ".ply, .compressed.ply, .spz, .splat, .sog or .glb")
     spz_version: Literal[3, 4] = cli.option(None, ".spz: 3, which all programs read (default), or 4, some smaller", 3)
     up: cli.Axis | None = cli.option(None, ".glb: the input's up axis, turned to +y (default: guessed)")
 
@@ -140,7 +140,7 @@ def convert(options: ConvertOptions) -> None:
     write_gaussians(target, before, report=no_line, **version)  # the losses below say it
     progress("  3/3 comparing")
     after = read_gaussians(target)
-    if kind == COMPRESSED:
+    if kind in (COMPRESSED, ".sog"):
         before = before.select(chunk_order(before.means))
     lost = losses(before, after)
     if source.suffix.lower() == ".h5":

@@ -6,7 +6,7 @@ components; alpha - 252 says which of w, x, y, z is left out. Log-scales, colour
 version 2 indices into a codebook, in version 1 (no `version`) fractions of a range. SH beyond degree 0 is
 a palette, 64 entries a row, and 16 bits a Gaussian that choose one. Opacity is a byte, in version 1 of
 the logit's range. Source: the SOG specification at developer.playcanvas.com; for version 1
-playcanvas/splat-transform, read-sog-v1.ts. Axes and units are those of the .ply.
+playcanvas/splat-transform, read-sog-v1.ts. Axes and units are those of the .ply. Written is version 2.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -22,9 +23,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from assets.file_access import file_size, open_input, unpack_bound
-from assets.formats.packing import join_largest, logits_from_bytes
-from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
+from assets.file_access import atomic_write, file_size, open_input, unpack_bound
+from assets.formats.packing import bytes_from_logits, join_largest, logits_from_bytes, split_largest, to_bytes
+from assets.formats.ply import chunk_order
+from assets.gaussians import SH_COUNTS, SORTS, Gaussians, Report, drawable_gaussians
 from assets.images import decode_image, read_image_header
 from core.errors import BadInput
 from core.typed import Range, Shape, from_json, from_plain
@@ -35,6 +37,10 @@ NUMBER_MAX = 1e30  # of the numbers in a meta.json
 NAME_MAX = 255  # [characters] of a file's name, on most file systems
 LARGEST_MIN = 252  # alpha of a quaternion whose w is left out
 PALETTE_WIDTH = 64  # palette entries in a row
+PALETTE_MAX = 1 << 16
+CODES = 256  # of a codebook
+ROUNDS = 10  # of k-means; more gain little
+SAMPLE = 1 << 16  # harmonics that the first level of the palette is made from
 ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ZIP_ENCRYPTED = 1  # flag of an entry
 # Exceptions of zipfile on damaged archives; RuntimeError includes NotImplementedError.
@@ -180,6 +186,8 @@ def _decode(images: Images, report: Report) -> Gaussians:
         raise BadInput(f"{path}: meta.json gives no count of Gaussians")
     if count == 0:
         raise BadInput(f"{path}: holds no Gaussians")
+    about = meta.get("asset") if isinstance(meta.get("asset"), dict) else {}
+    sort = about["sort"] if about.get("sort") in SORTS else ""
     antialias = meta.get("model") == "antialiased" or meta.get("antialias") is True
     low_byte, high_byte = (images.rows("means", count, index)[:, :3] for index in (0, 1))
     stored = _between(images, "means", low_byte + high_byte.astype(np.uint16) * 256, code_max=65535)
@@ -203,7 +211,7 @@ def _decode(images: Images, report: Report) -> Gaussians:
     if meta.get("shN") is not None:
         sh = np.concatenate([sh, _palette(images, count, version)], axis=1)
     return drawable_gaussians(
-        path, means, quats, log_scales.astype(np.float32), logits, sh, report, antialias=antialias
+        path, means, quats, log_scales.astype(np.float32), logits, sh, report, sort=sort, antialias=antialias
     )
 
 
@@ -236,3 +244,86 @@ def _palette(images: Images, count: int, version: int) -> np.ndarray:
         low, high = (images.numbers("shN", key, 1)[0] for key in ("mins", "maxs"))
         values = low + (high - low) * np.arange(256) / 255
     return values.astype(np.float32)[palette][labels]
+
+
+def write_sog(path: str | Path, g: Gaussians) -> None:
+    """Write a zipped SOG of version 2, in `chunk_order`, as images of neighbours are small. `object_id` is not stored.
+
+    Positions are rounded to 1/65535 of their range of logarithms, all else to 8 bits; harmonics beyond degree 0 are one
+    of at most 65,536.
+    """
+    g = g.select(chunk_order(g.means))
+    n = len(g)
+    width = 4 * math.ceil(math.sqrt(n) / 4)
+    logs = np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64)))
+    low, high = logs.min(0), logs.max(0)
+    codes = np.round((logs - low) / np.where(high > low, high - low, 1) * 65535).astype(np.uint16)
+    largest, others = split_largest(g.quats.astype(np.float64))
+    quats = np.c_[to_bytes((others * math.sqrt(0.5) + 0.5) * 255), (LARGEST_MIN + largest).astype(np.uint8)]
+    (scales, scale_book), (dc, dc_book) = _coded(g.log_scales), _coded(g.sh[:, 0])
+    alpha = np.maximum(bytes_from_logits(g.logit_opacities), 1)  # WebP does not keep the colour of what is invisible
+    meta = {"version": 2, "asset": {"generator": "VR-GS", **({"sort": g.sort} if g.sort else {})}, "count": n}
+    meta |= {"model": "antialiased"} if g.antialias else {}
+    meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}
+    meta["scales"] = {"codebook": scale_book, "files": ["scales.webp"]}
+    meta |= {"quats": {"files": ["quats.webp"]}, "sh0": {"codebook": dc_book, "files": ["sh0.webp"]}}
+    images = {"means_l": codes & 255, "means_u": codes >> 8, "quats": quats, "scales": scales, "sh0": np.c_[dc, alpha]}
+    files = {f"{name}.webp": _webp(rows, width) for name, rows in images.items()}
+    if g.sh_degree:
+        palette, labels = _palette_of(g.sh[:, 1:].reshape(n, -1))
+        entries, book = _coded(palette)
+        files["shN_centroids.webp"] = _webp(entries.reshape(-1, 3), PALETTE_WIDTH * (g.sh.shape[1] - 1))
+        files["shN_labels.webp"] = _webp(np.c_[labels & 255, labels >> 8, 0 * labels], width)
+        about = {"count": len(palette), "bands": g.sh_degree, "codebook": book}
+        meta["shN"] = {**about, "files": ["shN_centroids.webp", "shN_labels.webp"]}
+    with atomic_write(path) as beside, zipfile.ZipFile(beside, "w") as archive:
+        for name, data in {"meta.json": json.dumps(meta).encode(), **files}.items():
+            archive.writestr(zipfile.ZipInfo(name), data)  # without the time: a file depends on its splats only
+
+
+def _webp(rows: np.ndarray, width: int) -> bytes:
+    """A lossless image of RGB or RGBA pixels (N, 3 or 4), the last line filled up."""
+    import cv2
+
+    filled = np.full((-(-len(rows) // width) * width, rows.shape[1]), 255, np.uint8)
+    filled[: len(rows)] = rows
+    pixels = filled.reshape(-1, width, rows.shape[1])[..., [2, 1, 0, 3][: rows.shape[1]]]
+    return cv2.imencode(".webp", np.ascontiguousarray(pixels), [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+
+
+def _coded(values: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """Values as bytes, and the codebook: k-means in one dimension, from quantiles and even steps between the ends."""
+    flat = np.sort(values, axis=None).astype(np.float64)
+    book = (np.quantile(flat, np.linspace(0, 1, CODES)) + np.linspace(flat[0], flat[-1], CODES)) / 2
+    sums = np.concatenate([[0.0], np.cumsum(flat)])
+    for _ in range(ROUNDS):
+        ends = np.concatenate([[0], np.searchsorted(flat, (book[1:] + book[:-1]) / 2), [len(flat)]])
+        count = np.diff(ends)
+        book = np.where(count > 0, np.diff(sums[ends]) / np.maximum(count, 1), book)
+    return np.searchsorted((book[1:] + book[:-1]) / 2, values).astype(np.uint8), book.tolist()
+
+
+def _palette_of(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """At most 65,536 rows (K, D) that stand for all rows (N, D), and which one does, (N,) int64.
+
+    k-means in two levels, each of which compares with some hundred rows only.
+    """
+    from scipy.cluster.vq import kmeans2, vq
+
+    def k_means(rows: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        with warnings.catch_warnings(action="ignore"):  # of an entry that no row is nearest to, or of equal rows
+            return kmeans2(rows, count, ROUNDS, minit="points", rng=0)
+
+    n = len(rows)
+    wanted = min(PALETTE_MAX, 1 << (n.bit_length() - 1))
+    coarse = k_means(rows[:: max(1, n // SAMPLE)], math.isqrt(wanted))[0]
+    first = vq(rows, coarse)[0]
+    palette, labels, used = [], np.empty(n, np.int64), 0
+    for k in np.unique(first).tolist():
+        mine = np.flatnonzero(first == k)
+        share = max(1, len(mine) * (wanted - len(coarse)) // n)
+        fine, of_fine = k_means(rows[mine], share)
+        labels[mine] = used + of_fine
+        palette.append(fine)
+        used += share
+    return np.concatenate(palette), labels

@@ -3,15 +3,18 @@
 import json
 import struct
 import tracemalloc
+import warnings
 import zipfile
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from assets.formats.ply import chunk_order
 from assets.formats.sog import read_sog
 from assets.gaussians import Gaussians
-from assets.splat_files import read_gaussians
+from assets.splat_files import read_gaussians, write_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 from tests.support.samples import refused, riff, some_gaussians
@@ -99,6 +102,39 @@ def test_no_rotation_is_dropped_and_antialiasing_kept(tmp_path, mark):
     read = read_sog(tmp_path / "a.sog", report=lines.append)
     np.testing.assert_allclose(read.means, np.delete(g.means, 3, 0), atol=1e-3)
     assert len(lines) == 1 and "dropped 1 of 20" in lines[0] and read.antialias
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_what_is_written_comes_back(tmp_path, degree):
+    g = replace(some_gaussians(3000, degree), sort="radial", antialias=degree == 1)
+    g = replace(g, sh=g.sh[np.arange(3000) % 500])  # few different ones, which a palette can hold
+    write_gaussians(tmp_path / "a.sog", g, pytest.fail)
+    read, g = read_gaussians(tmp_path / "a.sog", pytest.fail), g.select(chunk_order(g.means))
+    np.testing.assert_allclose(read.means, g.means, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(read.log_scales, g.log_scales, atol=np.ptp(g.log_scales) / 40)
+    np.testing.assert_allclose(read.opacities, g.opacities, atol=1 / 255)
+    np.testing.assert_allclose(read.sh[:, 0], g.sh[:, 0], atol=np.ptp(g.sh[:, 0]) / 40)
+    assert (
+        np.sqrt(np.mean((read.sh[:, 1:] - g.sh[:, 1:]) ** 2, initial=0)) < 0.1 * g.sh[:, 1:].std() + 1e-9
+        if degree
+        else True
+    )
+    assert np.abs((read.quats * g.quats).sum(1)).min() > 1 - 1e-4
+    assert (read.sort, read.antialias, read.sh_degree) == ("radial", degree == 1, degree)
+
+
+@pytest.mark.parametrize("count", [1, 2, 70])
+def test_few_and_equal_gaussians_are_written_without_a_warning(tmp_path, count):
+    g = some_gaussians(1, 3).select(np.zeros(count, int))
+    with warnings.catch_warnings(action="error"):
+        write_gaussians(tmp_path / "a.sog", g)
+    assert (tmp_path / "a.sog").read_bytes() == (
+        write_gaussians(tmp_path / "b.sog", g),
+        (tmp_path / "b.sog").read_bytes(),
+    )[1]
+    read = read_gaussians(tmp_path / "a.sog")
+    np.testing.assert_allclose(read.means, g.means, rtol=1e-5)
+    np.testing.assert_allclose(read.sh, g.sh, atol=np.ptp(g.sh) / 200)
 
 
 def test_archives_that_cannot_be(tmp_path):

@@ -139,6 +139,12 @@ class ContactConstraints:
             if ti.static(self.coupled):
                 for e in range(self.body_count[r]):
                     ti.atomic_add(self.rigid_bodies.split_count[self.body[r, e]], 1)
+            if ti.static(integrator.warm_started):
+                a, b = self._soft_bodies(r)
+                if a >= 0:
+                    ti.atomic_add(integrator.whole.split_count[a], 1)
+                if b != a:
+                    ti.atomic_add(integrator.whole.split_count[b], 1)
         self.set_active(r, usable, loaded)
 
     @ti.func
@@ -171,10 +177,14 @@ class ContactConstraints:
         if self.active[r]:
             inv_mass = self._vertices_inv_mass(r, integrator)
             n, old, y, dt = self.normal[r], self.impulse[r], self.relative_motion(r, j, integrator), self.state.dt[None]
-            inv_mass_t = inv_mass  # of vertices it is the same in all directions; of rigid bodies it is not
+            inv_mass_t = inv_mass  # of vertices it is the same in all directions; of whole bodies it is not
+            y_t = y - n.dot(y) * n
+            along = y_t / ti.max(y_t.norm(), 1e-20)
+            if ti.static(integrator.warm_started):
+                W = self._mobility_of_wholes(r, integrator)
+                inv_mass += n.dot(W @ n)
+                inv_mass_t += along.dot(W @ along)
             if ti.static(self.coupled):
-                y_t = y - n.dot(y) * n
-                along = y_t / ti.max(y_t.norm(), 1e-20)
                 for e in range(self.body_count[r]):
                     b, arm = self.body[r, e], self.lever_arm[r, e]
                     count = ti.cast(self.rigid_bodies.split_count[b], ti.f32)
@@ -205,6 +215,33 @@ class ContactConstraints:
             for e in range(self.vertex_count[r]):
                 inv_mass += self._vertex_inv_mass(r, e, integrator)
         return inv_mass
+
+    @ti.func
+    def _soft_bodies(self, r):
+        """The soft bodies of row r, twice the same if there is one, -1 if none: vertices of the second come last."""
+        a, b = -1, -1
+        if self.vertex_count[r] > 0:
+            a = self.state.body_of_vertex[self.vertex[r, 0]]
+            b = self.state.body_of_vertex[self.vertex[r, self.vertex_count[r] - 1]]
+        return a, b
+
+    @ti.func
+    def _mobility_of_wholes(self, r, integrator: ti.template()):
+        """Inverse of the mass [1/kg] that row r may use of its soft bodies as wholes, (3, 3)."""
+        s, whole = self.state, integrator.whole
+        W = ti.Matrix.zero(ti.f32, 3, 3)
+        a, b = self._soft_bodies(r)
+        for side in range(0 if a < 0 else (1 if a == b else 2)):
+            body = a if side == 0 else b
+            total, moment, origin = 0.0, ti.Vector([0.0, 0.0, 0.0]), s.x[s.vertex_begin[body]]
+            for e in range(self.vertex_count[r]):
+                i = self.vertex[r, e]
+                if s.body_of_vertex[i] == body:
+                    c = self.coefficient[r, e] * ti.sqrt(whole.share(i))
+                    total += c
+                    moment += c * (s.x[i] - origin)
+            W += ti.cast(whole.split_count[body], ti.f32) * whole.mobility(body, total, moment)
+        return W
 
     @ti.func
     def apply(self, i):

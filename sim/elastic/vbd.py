@@ -7,14 +7,15 @@ vertex, so for that vertex alone the energy is a quadratic, and its minimum is m
 
 where F is that of dx - lag v (sim/state.py), and b is the gradient of the vertex's shape function at rest and c =
 cof(F) b. H is positive definite whatever F is, so every update lowers the energy. Vertices of one colour share no tet
-and are moved at the same time. After the sweeps of a substep each body moves along its softest modes
-(sim/elastic/modal_correction.py): few sweeps bring a push only a few rings of tets far. The modes come last because
-they include the rigid ones, so that momentum is kept.
+and are moved at the same time. Few sweeps bring a push only a few rings of tets far. So bodies that others may touch
+move as wholes as well (sim/elastic/whole_bodies.py), which keeps momentum, and after the sweeps of a substep each body
+moves along its softest modes (sim/elastic/modal_correction.py).
 
     begin     dx = dt v + dt^2 a + x_lo, a = the part of the last acceleration along gravity, in [0, |g|] (Sec. 3.6):
               what rests starts at rest, so that few sweeps do not let it sag;   target = prediction + pushes
     sweep     colour by colour; after each vertex its static contacts, in the metric of H (sim/contact/response.py)
-    phases    impulses push the target; dx itself moves by effective_inv_mass/w of that, which is tr(H^-1)/(3 dt^2)
+    phases    impulses push the target; dx itself moves by effective_inv_mass/w of that, which is tr(H^-1)/(3 dt^2);
+              before them, and after the last ones, bodies move as wholes
     modes     the modal correction
     end       commit
 """
@@ -28,6 +29,7 @@ from core.fields import FieldGroup, Upload, round_up_capacity
 from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.substep import ALL_PASSES, Constraint, commit, phase_kernels
+from sim.elastic.whole_bodies import WholeBodies
 from sim.model import Model, RestShape, stacked
 from sim.reductions import ReductionBlocks
 from sim.state import State
@@ -197,6 +199,7 @@ class VBDSubsteps:
         self.color_begin = g.scalar(MAX_COLORS + 1, dtype=ti.i32)
         self.corner = g.scalar(4 * state.T, dtype=ti.i32)  # 4 t + k of each slot (sim/elastic/energy.py)
         g.build()
+        self.whole = WholeBodies(state, blocks, d)
         self.modal = ModalCorrection(state, elasticity, blocks, d)
         self._upload = Upload([self.order, self.corner, self.color_begin])
         self.colors = 0
@@ -226,7 +229,11 @@ class VBDSubsteps:
             if self.descent.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
                 rigid = [phase_kernels(self.state, self, c, (EARLY_PASSES, ALL_PASSES)) for c in self.in_pairs]
                 phases = [[k for kernels in rigid for k in kernels[n]] + phases[n] for n in range(2)]
-            self.kernels = self._begin(), self._sweep(), phases, self.modal.kernels(), self._end()
+            modal = self.modal.kernels()
+            if self.in_pairs:
+                balance = self.whole.kernel()
+                phases, modal = [[balance, *p] for p in phases], [balance, *modal]
+            self.kernels = self._begin(), self._sweep(), phases, modal, self._end()
         begin, sweep, phases, modal, end = self.kernels
         colors = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
         graph = ti.graph.GraphBuilder()

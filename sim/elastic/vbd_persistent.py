@@ -20,6 +20,7 @@ from sim.elastic.substep import (
     solve_phases,
 )
 from sim.elastic.vbd import EARLY_PASSES, VertexDescent
+from sim.elastic.whole_bodies import WholeBodies
 from sim.model import MAX_BODIES, Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
@@ -53,6 +54,7 @@ class PersistentVBD:
         self.patches = ColorPatches(state, self.grid.blocks)
         self.descent = d = VertexDescent(state, constraints, rigid)
         self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
+        self.whole = WholeBodies(state, blocks, d, self.grid.warp)
         self.modal = ModalCorrection(state, elasticity, blocks, d, self.grid.warp)
         g = self._group = FieldGroup()
         # Point of each body about which moments are summed: of the last substep, because x is just being moved
@@ -171,9 +173,30 @@ class PersistentVBD:
                 passed = self.grid.meet(thread, passed, self.state.substep_index, 0)
                 self._stage(thread, mine, several, color, points, words)
             if paired:
+                passed = self._balance(thread, passed)
                 passed = self._pairs(thread, passed, sweep == self.iterations - 1)
+                if sweep == self.iterations - 1:
+                    passed = self._balance(thread, passed)
                 self._stage(thread, mine, several, ALL_COLORS, points, words)
         return passed
+
+    @ti.func
+    def _balance(self, thread, rounds):
+        """Move bodies as wholes. Returns as `meet`."""
+        s, whole = self.state, self.whole
+        self._each_block(thread, whole.sum_block)
+        passed = self.grid.meet(thread, rounds, s.substep_index, 0)
+        b = self.grid.warp_index(thread)
+        while b < s.body_count[None]:
+            whole.solve(b, thread % self.grid.warp)
+            b += self.grid.warps
+        passed = self.grid.meet(thread, passed, s.substep_index, 0)
+        i, end = own_vertices(self, thread)
+        while i < end:
+            if s.awake_vertex(i):
+                whole.move(i)
+            i += self.grid.block
+        return self.grid.meet(thread, passed, s.substep_index, 0)
 
     @ti.func
     def _correct(self, thread, rounds, mine, several, colors, points: ti.template(), words: ti.template()):
@@ -380,5 +403,5 @@ class PersistentVBD:
         return self.grid.meet(thread, passed, s.substep_index, 0)
 
     def destroy(self) -> None:
-        for part in (self.grid, self.patches, self.descent, self.modal, self._group):
+        for part in (self.grid, self.patches, self.descent, self.whole, self.modal, self._group):
             part.destroy()

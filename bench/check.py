@@ -27,12 +27,14 @@ MEASUREMENTS: tuple[Callable[..., list[dict]], ...] = (
     physics.recovery,
     physics.energy_kept,
     physics_contact.rigid_bodies,
+    physics_contact.momentum_kept,
     physics_contact.ring_throws,
     physics_contact.pile_at_rest,
     physics.cuda_and_cpu,
 )
 QUICK = {  # arguments of their quick form
     physics.energy_kept: {"substeps": 50_000, "vbd_substeps": 20_000},
+    physics_contact.momentum_kept: {"stiffnesses": (("vbd", 1e6), ("vbd", 1e8), ("xpbd", 1e6))},
     physics_contact.ring_throws: {"count": 15, "seconds": 0.5},
     physics_contact.pile_at_rest: {"seconds": 5.0},
 }

@@ -230,6 +230,107 @@ def winding_number(line) -> int:
     return round(((step + np.pi) % (2 * np.pi) - np.pi).sum() / (2 * np.pi))
 
 
+# ---- bodies that meet, of one stiffness, far apart in one solver; the other stiffnesses find its kernels compiled
+
+MEETINGS = {"soft on rigid": (False, 0.0), "the same, glancing": (False, 0.06), "two soft": (True, 0.0)}  # offset [m]
+SLIDING = 0.2  # coefficient of friction of all but the sled and its load, which stick to one another
+WALL = -3.0  # [m], x of a wall without friction, the floor of the sled
+
+
+def meeting_bodies(young: float) -> list[SoftBody | RigidBody]:
+    """Cubes that meet, a slider on the floor, a rigid, a soft and a rigid one stacked, a sled on the wall, loaded."""
+    x, tets, surface = box((SIDE,) * 3, (3, 3, 3))
+
+    def soft(name, position, friction=SLIDING, density=1000.0):
+        material = Material(young, 0.3, density, friction=friction, damping=0.0)
+        return SoftBody(name, x - SIDE / 2, tets, surface, material, position=position)
+
+    def rigid(name, position, size=(SIDE,) * 3, friction=SLIDING):
+        return RigidBody.box(name, size, density=1000.0, friction=friction, position=position)
+
+    bodies = []
+    for k, (both, offset) in enumerate(MEETINGS.values()):
+        bodies += [soft("left", (-0.055, 6 + k, 0)), (soft if both else rigid)("right", (0.055, 6 + k + offset, 0))]
+    bodies += [soft("slider", (0.5, 0.0501, 0)), rigid("lowest", (2, 0.0501, 0)), soft("middle", (2, 0.1502, 0))]
+    bodies += [rigid("highest", (2, 0.2503, 0))]
+    sled = rigid("sled", (WALL + 0.0201, 4, 0), (0.04, 0.3, 0.15), 1.0)
+    return [*bodies, sled, soft("load", (WALL + 0.0903, 4, 0), 1.0)]
+
+
+def momenta(solver: Solver) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum [kg m/s] (B, 3) and kinetic energy [J] (B,) of each body."""
+    q, rigid, momentum, kinetic = solver.snapshot(), solver.rigid_bodies, [], []
+    spins = (rigid.angular_momentum.to_numpy() * rigid.angular_velocity.to_numpy()).sum(1) / 2
+    for b, (model, rows) in enumerate(zip(q["bodies"], pairwise(solver.vertex_offset), strict=False)):
+        m, v = model.mass[:, None], (q["v"].astype(np.float64) + q["v_lo"])[slice(*rows)]
+        if model.body.rigid:
+            m, v = model.body.inertia[0], rigid.v.to_numpy()[b : b + 1].astype(np.float64)
+        momentum.append((m * v).sum(0))
+        kinetic.append((m * v**2).sum() / 2 + spins[b] * model.body.rigid)
+    return np.array(momentum), np.array(kinetic)
+
+
+def push(solver: Solver, velocities: dict[int, tuple]) -> None:
+    """Give bodies these velocities [m/s], all others none."""
+    q, v = solver.snapshot(), np.zeros((solver.state.sizes.vertices, 3))
+    for b, velocity in velocities.items():
+        v[solver.vertex_offset[b] : solver.vertex_offset[b + 1]] = velocity
+    solver.restore({"x": q["x"].astype(np.float64) + q["x_lo"], "v": v})
+
+
+def kept(integrator: str, young: float, *, frames: int = 24) -> dict[str, float]:
+    """What contact of bodies of one stiffness does to momentum and energy: relative errors, and kinetic energies."""
+    shapes = [Plane((0, 0, 0), (0, 1, 0), SLIDING), Plane((WALL, 0, 0), (1, 0, 0), 0.0)]
+    solver = Solver(meeting_bodies(young), shapes, gravity=(0, 0, 0), integrator=integrator, hands=0, sleep=False)
+    slider, sled, result = 2 * len(MEETINGS), 2 * len(MEETINGS) + 4, {}
+    push(solver, {b: (0.5 * (-1) ** b, 0, 0) for b in range(slider)})
+    before, start = momenta(solver)
+    run(solver, frames * FRAME)
+    after, end = momenta(solver)
+    for k, name in enumerate(MEETINGS):
+        pair = slice(2 * k, 2 * k + 2)
+        given = after[pair] - before[pair]
+        result[f"{name}, momentum lost"] = np.linalg.norm(given.sum(0)) / np.linalg.norm(given, axis=1).max()
+        result[f"{name}, kinetic energy left"] = end[pair].sum() / start[pair].sum()
+    for degrees in (20, 30):
+        a = np.radians(degrees)
+        solver.gravity = (G * np.sin(a), -G * np.cos(a), 0.0)
+        solver.reset()
+        run(solver, frames / 2 * FRAME)
+        before, _ = momenta(solver)
+        run(solver, frames * FRAME)
+        after, _ = momenta(solver)
+        gained = (after - before)[slider, 0] / solver.body_models[slider].mass.sum() / (frames * FRAME)
+        result[f"slope of {degrees} deg, acceleration off"] = gained / (G * (np.sin(a) - SLIDING * np.cos(a))) - 1
+    solver.gravity = (0.0, -G, 0.0)
+    solver.reset()
+    run(solver, frames * FRAME)
+    result["stack of unlike, fastest [m/s]"] = max(np.linalg.norm(s.velocity) for s in solver.bodies()[sled - 3 : sled])
+    solver.gravity = (-G, 0.0, 0.0)
+    solver.reset()
+    run(solver, frames / 2 * FRAME)
+    push(solver, {sled: (0.0, 1.0, 0.0)})
+    before, start = momenta(solver)
+    run(solver, frames * FRAME)
+    after, end = momenta(solver)
+    result["load on a sled, momentum lost"] = abs(after[sled:, 1].sum() / before[sled:, 1].sum() - 1)
+    result["load on a sled, kinetic energy left"] = end[sled:].sum() / start[sled:].sum()
+    return result
+
+
+LIMITS = {"momentum lost": 0.01, "kinetic energy left": 1.0, "acceleration off": 0.02, "fastest [m/s]": 0.02}
+STIFFNESSES = (("vbd", 1e4), ("vbd", 1e6), ("vbd", 1e8), ("vbd", 1e9), ("xpbd", 1e4), ("xpbd", 1e6), ("xpbd", 1e8))
+
+
+def momentum_kept(stiffnesses=STIFFNESSES) -> list[dict]:
+    """Contact between bodies gives one what it takes from the other, whatever their stiffness."""
+    rows = []
+    for integrator, young in stiffnesses:
+        for name, value in kept(integrator, young).items():
+            rows.append(at_most(f"{integrator}, {young:.0e} Pa: {name}", LIMITS[name.split(", ")[-1]], abs(value)))
+    return rows
+
+
 TIP_HEIGHT = 0.07  # [m] of an octahedron's centre over its lowest vertex
 MOST_GAINED = 1e-5  # [J]; it lifts a cube of the pile by 2 um
 

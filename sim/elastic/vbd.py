@@ -11,8 +11,10 @@ and are moved at the same time. Few sweeps bring a push only a few rings of tets
 move as wholes as well (sim/elastic/whole_bodies.py), which keeps momentum, and after the sweeps of a substep each body
 moves along its softest modes (sim/elastic/modal_correction.py).
 
-    begin     dx = dt v + dt^2 a + x_lo, a = the part of the last acceleration along gravity, in [0, |g|] (Sec. 3.6):
-              what rests starts at rest, so that few sweeps do not let it sag;   target = prediction + pushes
+    begin     dx = dt v + dt^2 a + x_lo, a = the last acceleration, its part along gravity brought into [0, |g|]
+              (Sec. 3.6), then that across into the ball of diameter g: what floors and slopes leave of g. What rests
+              starts at rest, so that few sweeps do not let it sag, and what slides is not pressed into its slope;
+              target = prediction + pushes
     sweep     colour by colour; after each vertex its static contacts, in the metric of H (sim/contact/response.py)
     phases    impulses push the target; dx itself moves by effective_inv_mass/w of that, which is tr(H^-1)/(3 dt^2);
               before them, and after the last ones, bodies move as wholes
@@ -88,7 +90,7 @@ class VertexDescent:
         self.target = g.vector(V)  # dx that inertia and impulses want [m]
         self.impulse_displacement = g.vector(V)  # part of the target that impulses push [m]
         self.reaction = g.vector(V)  # force of static shapes [N]
-        self.fall = g.scalar(V)  # |a| / |g| of the last substep, in [0, 1]
+        self.fall = g.vector(V)  # what is expected of the acceleration [m/s^2]
         self.contact_stiffness = g.scalar(V)  # of the vertex where something touches it, else 0 [N/m]
         self.effective_inv_mass = g.scalar(V)  # displacement within the substep per impulse [1/kg]
         g.build()
@@ -105,7 +107,7 @@ class VertexDescent:
         s = self.state
         d, target, impulse = predicted, predicted, self.impulse_displacement[i]
         if s.inv_mass[i] > 0.0:
-            d = target - (1.0 - self.fall[i]) * s.dt[None] ** 2 * s.gravity[None]
+            d = target - s.dt[None] ** 2 * (s.gravity[None] - self.fall[i])
             for c in ti.static(self.on_vertex):
                 target += c.external_displacement(i, d)
         s.dx[i] = d
@@ -173,7 +175,9 @@ class VertexDescent:
         s = self.state
         dt, g = s.dt[None], s.gravity[None]
         a = g + (d - s.dx_predicted[i]) / dt**2
-        self.fall[i] = ti.math.clamp(a.dot(g) / ti.max(g.norm_sqr(), 1e-12), 0.0, 1.0)
+        down = ti.math.clamp(a.dot(g) / ti.max(g.norm_sqr(), 1e-12), 0.0, 1.0)
+        across, most = a - a.dot(g) / ti.max(g.norm_sqr(), 1e-12) * g, ti.sqrt(down * (1.0 - down)) * g.norm()
+        self.fall[i] = down * g + ti.min(most / ti.max(across.norm(), 1e-12), 1.0) * across
         _x, _v, predicted = commit(self, i, d)
         return predicted
 

@@ -241,8 +241,8 @@ def meeting_bodies(young: float) -> list[SoftBody | RigidBody]:
     """Cubes that meet, a slider on the floor, a rigid, a soft and a rigid one stacked, a sled on the wall, loaded."""
     x, tets, surface = box((SIDE,) * 3, (3, 3, 3))
 
-    def soft(name, position, friction=SLIDING, density=1000.0):
-        material = Material(young, 0.3, density, friction=friction, damping=0.0)
+    def soft(name, position, friction=SLIDING, damping=0.0):
+        material = Material(young, 0.3, 1000.0, friction=friction, damping=damping)
         return SoftBody(name, x - SIDE / 2, tets, surface, material, position=position)
 
     def rigid(name, position, size=(SIDE,) * 3, friction=SLIDING):
@@ -251,7 +251,11 @@ def meeting_bodies(young: float) -> list[SoftBody | RigidBody]:
     bodies = []
     for k, (both, offset) in enumerate(MEETINGS.values()):
         bodies += [soft("left", (-0.055, 6 + k, 0)), (soft if both else rigid)("right", (0.055, 6 + k + offset, 0))]
-    bodies += [soft("slider", (0.5, 0.0501, 0)), rigid("lowest", (2, 0.0501, 0)), soft("middle", (2, 0.1502, 0))]
+    bodies += [
+        soft("slider", (0.5, 0.0501, 0)),
+        rigid("lowest", (2, 0.0501, 0)),
+        soft("middle", (2, 0.1502, 0), damping=20.0),
+    ]
     bodies += [rigid("highest", (2, 0.2503, 0))]
     sled = rigid("sled", (WALL + 0.0201, 4, 0), (0.04, 0.3, 0.15), 1.0)
     return [*bodies, sled, soft("load", (WALL + 0.0903, 4, 0), 1.0)]
@@ -318,7 +322,7 @@ def kept(integrator: str, young: float, *, frames: int = 24) -> dict[str, float]
     return result
 
 
-LIMITS = {"momentum lost": 0.01, "kinetic energy left": 1.0, "acceleration off": 0.02, "fastest [m/s]": 0.02}
+LIMITS = {"momentum lost": 0.01, "kinetic energy left": 1.0, "acceleration off": 0.02, "fastest [m/s]": 0.05}
 STIFFNESSES = (("vbd", 1e4), ("vbd", 1e6), ("vbd", 1e8), ("vbd", 1e9), ("xpbd", 1e4), ("xpbd", 1e6), ("xpbd", 1e8))
 
 

@@ -65,7 +65,7 @@ class ViewedFile:
     def read(cls, path: str | Path, up: str | None) -> ViewedFile:
         """Read a file and turn it so that its axis `up` is +y. Raises BadInput.
 
-        None: the most probable axis is guessed, but for a prepared asset, a .glb and what was trained, of which +y is up.
+        None: the most probable axis is guessed, but +y is up in a prepared asset, a .glb and what was trained.
         """
         gaussians, chances = read_gaussians(path), {}
         if up is None and not str(path).lower().endswith((".h5", ".glb")) and not gaussians.view:

@@ -227,3 +227,10 @@ def motion_of(snapshot: dict, vertices: int) -> list[np.ndarray]:
         high = value.astype(np.float32)
         motion += [high, snapshot.get(low, value - high)]
     return motion
+
+
+@ti.func
+def inverse_mass_matrix(arm, inv_mass, inverse_inertia):
+    """1/m - [r] I^-1 [r] [1/kg]: the motion of a body's point at lever arm r for a unit impulse there, (3, 3)."""
+    cross = ti.Matrix([[0.0, -arm.z, arm.y], [arm.z, 0.0, -arm.x], [-arm.y, arm.x, 0.0]])
+    return cross.transpose() @ inverse_inertia @ cross + inv_mass * ti.Matrix.identity(ti.f32, 3)

@@ -77,9 +77,9 @@ def where_cameras_look(
         colors.append(p.pixels[rows, columns])
     points, colors = np.concatenate(points), np.concatenate(colors)
     for p in photographs if cut_out else ():
-        x, y, z = projected = p.camera.projected(points)
+        projected = p.camera.projected(points)
         inside = _inside(projected, p)
-        row, column = (np.where(inside, v, 0).astype(int) for v in (y, x))
+        row, column = (np.where(inside, v, 0).astype(int) for v in projected[1::-1])
         empty = inside & p.mask[row, column] & (p.alpha is not None and p.alpha[row, column] <= OPAQUE)
         if (~empty).sum() >= 2 * NEIGHBOURS:
             points, colors = points[~empty], colors[~empty]

@@ -116,10 +116,3 @@ def fingertip_spring(phi, dt):
     """
     damping = 1.0 + (RECOVERY_TIME / dt if phi <= 0.0 else 0.0)
     return ti.min(-phi, MAX_RECOVERY_SPEED * RECOVERY_TIME), 1.0 / (FINGERTIP_STIFFNESS * dt * dt), damping
-
-
-@ti.func
-def inverse_mass_matrix(arm, inv_mass, inverse_inertia):
-    """1/m - [r] I^-1 [r] [1/kg]: the motion of a body's point at lever arm r for a unit impulse there, (3, 3)."""
-    cross = ti.Matrix([[0.0, -arm.z, arm.y], [arm.z, 0.0, -arm.x], [-arm.y, arm.x, 0.0]])
-    return cross.transpose() @ inverse_inertia @ cross + inv_mass * ti.Matrix.identity(ti.f32, 3)

@@ -16,10 +16,9 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from core.lanes import sum_lanes
-from sim.contact.response import inverse_mass_matrix
 from sim.model import MAX_BODIES
 from sim.reductions import ReductionBlocks
-from sim.state import State
+from sim.state import State, inverse_mass_matrix
 
 SUMS = 16  # m e (3), r x m e (3), m r (3), m r r^T (6), and the vertices on static shapes, r from the first vertex
 MIN_INERTIA = 1e-4  # of its trace: vertices in a line have none about that

@@ -11,10 +11,11 @@ from taichi.math import vec3
 from core.fields import FieldGroup
 from core.lanes import from_lane, lane_count, max_lanes, rank_lanes, sync_lanes, vector_from_lane
 from sim.contact.constraints import SETTLED
-from sim.contact.response import inverse_mass_matrix, isotropic_contact_impulse, min_normal_motion
+from sim.contact.response import isotropic_contact_impulse, min_normal_motion
 from sim.contact.static_shapes import MAX_SHAPES, known
 from sim.rigid.rigid_bodies import SOFT
 from sim.rigid.rigid_broad_phase import WORLD, RigidBroadPhase, bodies_of_group
+from sim.state import inverse_mass_matrix
 
 GROUP_SWEEPS = 3  # over a group's constraints in each pass; with one, corners that strike together do not all rebound
 MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce, and so come to rest

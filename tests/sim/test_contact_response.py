@@ -30,10 +30,10 @@ def device(ti_cpu):
         contact_impulse,
         fingertip_spring,
         holding_impulse,
-        inverse_mass_matrix,
         isotropic_contact_impulse,
         min_normal_motion,
     )
+    from sim.state import inverse_mass_matrix
 
     n, vector, other, out = (ti.Vector.field(3, ti.f32, N) for _ in range(4))
     matrix, pair = ti.Matrix.field(3, 3, ti.f32, N), ti.Vector.field(2, ti.f32, N)

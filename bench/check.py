@@ -15,7 +15,7 @@ from bench import physics, physics_contact
 
 HEAD = ("check", "reference", "measured", "tolerance", "verdict")
 KEYS = ("check", "relation", *HEAD[1:4], "pass")  # of a row in the JSON file
-VERDICTS = {True: "pass", False: "FAIL", None: "skipped"}
+VERDICTS = {True: "pass", False: "FAIL", None: "-"}
 
 
 MEASUREMENTS: tuple[Callable[..., list[dict]], ...] = (
@@ -49,9 +49,9 @@ def run(*, quick: bool, json: Path | None) -> int:
     if json:
         write_json(json, [{key: r[key] for key in KEYS} for r in rows])
     failed = [r for r in rows if r["pass"] is False]
-    skipped = sum(r["pass"] is None for r in rows)
-    passed = len(rows) - len(failed) - skipped
-    text = f"{passed} of {len(rows)} rows pass" + (f", {skipped} skipped" if skipped else "")
+    open_ = sum(r["pass"] is None for r in rows)
+    passed = len(rows) - len(failed) - open_
+    text = f"{passed} of {len(rows)} rows pass" + (f", {open_} without verdict" if open_ else "")
     print(f"{text}; {perf_counter() - begin:.0f} s")
     return 1 if failed else 0
 

@@ -45,7 +45,7 @@ def measures_with(monkeypatch, *verdicts) -> None:
     [
         ((True, True), 0, "2 of 2 rows pass;"),
         ((False, True), 1, "1 of 2"),
-        ((None, True), 0, "1 of 2 rows pass, 1 skip"),
+        ((None, True), 0, "1 of 2 rows pass, 1 without verdict"),
     ],
 )
 def test_the_command_prints_writes_and_returns_its_verdict(monkeypatch, tmp_path, capsys, verdicts, status, summary):

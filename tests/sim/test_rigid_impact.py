@@ -113,7 +113,7 @@ def test_what_slides_under_an_elastic_load_is_braked_by_no_more_than_friction(ru
     The first substeps after a restore brake too much, as a load does not take up all of the impulses at once.
     """
     slider, load = run[1].bodies()[6:8]
-    assert 0.26 < slider.velocity[0] < 0.36 and 0.03 < load.velocity[0] < 0.08
+    assert 0.26 < slider.velocity[0] < 0.36 and 0.03 < load.velocity[0] < 0.085  # Coulomb: 0.082
 
 
 def test_impacts_follow_newtons_law(run):

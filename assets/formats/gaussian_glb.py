@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write, open_input, unpack_bound
+from assets.file_access import atomic_write, open_input
 from assets.formats.gltf import (
     BINARY_CHUNK,
     FILE_MAX,
@@ -51,6 +51,7 @@ COEFFICIENTS = [f"{SPLATTING}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4
 SCALE_MIN = float(np.finfo(np.float32).tiny)  # [m] so that the log of a flat Gaussian's is finite
 UNIFORM = 1e-5  # of a node's scale: by less, its axes differ by rounding
 ARRAY_BUFFER = 34962  # of glTF: vertex attributes
+REPEATS = 16  # bytes in memory for one of the file, at most: 4 for what is stored as bytes, and nodes that share a mesh
 ROW_BYTES = 4 * (3 + 4 + 3 + 1)  # of a Gaussian in memory, without harmonics
 
 
@@ -71,7 +72,7 @@ def read_glb(path: str | Path, report: Report = print) -> Gaussians:
     if len(nodes) > NODES_MAX:
         raise file.error(f"has {len(nodes)} nodes, at most {NODES_MAX} are read")
     order, parents = node_order(file, len(nodes))
-    world, sets, room = np.tile(np.eye(4), (len(nodes), 1, 1)), [], unpack_bound(file.path.stat().st_size)
+    world, sets, room = np.tile(np.eye(4), (len(nodes), 1, 1)), [], REPEATS * file.path.stat().st_size
     for k in order.tolist():
         t, q, s = local_pose(file, nodes[k])
         world[k, :3, :3], world[k, :3, 3] = matrices_from_quaternions(q[None])[0] * s, t

@@ -39,7 +39,7 @@ def model(folder, names) -> None:
     folder.mkdir()
     (folder / "cameras.txt").write_text("1 PINHOLE 64 48 60 60 32 24\n")
     (folder / "images.txt").write_text("".join(f"{k + 1} 1 0 0 0 {-k} 0 0 1 {n}\n\n" for k, n in enumerate(names)))
-    (folder / "points3D.txt").write_text("1 0 0 2 255 0 0 0.1 1 0\n")
+    (folder / "points3D.txt").write_text("1 0 0 20 255 0 0 0.1 1 0\n")
 
 
 @pytest.fixture
@@ -155,7 +155,7 @@ def test_a_training_depends_on_photographs_and_poses_not_on_marks_or_rooms_besid
     (tmp_path / "toys" / "room").mkdir()
     (tmp_path / "toys" / "room" / "room.jpg").write_bytes(b"x")
     assert key() == before
-    for name, change in (("sparse/images.txt", b"\n"), ("sparse/points3D.txt", b"2 0 0 3 255 0 0 0.1 1 0\n")):
+    for name, change in (("sparse/images.txt", b"\n"), ("sparse/points3D.txt", b"2 0 0 30 255 0 0 0.1 1 0\n")):
         path = tmp_path / "toys" / name
         content = path.read_bytes()
         path.write_bytes(content.replace(b" -1 ", b" -2 ") + change)

@@ -125,7 +125,6 @@ def test_refusals_leave_everything_as_it_was(tmp_path, capsys):
         ("a.ply", "a.ply", "is the input itself"),
         ("a.ply", "link.ply", "is the input itself"),
         ("a.ply", "a.ksplat", "cannot write"),
-        ("a.ply", "a.sog", "cannot write"),
         ("a.ply", "a.h5", "cannot write"),
         ("a.ply", "noname", "cannot write"),
         ("a.xyz", "b.ply", "unknown kind"),

@@ -81,7 +81,9 @@ class GlbFile:
 
     def item(self, kind: str, index) -> dict:
         """Entry `index` of the file's list `kind` ("nodes", "meshes" ...)."""
-        items = self.list(self.json, kind)
+        items = self.json.get(kind)
+        if not isinstance(items, list):  # `list` looks at all entries, which is too slow for each of many
+            items = self.list(self.json, kind)
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
             raise self.error(f"names one of its {kind} that is not there: {str(index)[:20]} of {len(items)}")
         if not isinstance(items[index], dict):

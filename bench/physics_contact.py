@@ -283,7 +283,7 @@ def push(solver: Solver, velocities: dict[int, tuple]) -> None:
 
 
 def kept(integrator: str, young: float, *, frames: int = 24) -> dict[str, float]:
-    """What contact of bodies of one stiffness does to momentum and energy: relative errors, and kinetic energies."""
+    """Relative errors of momentum, and the kinetic energy left, in contacts of bodies of one stiffness."""
     shapes = [Plane((0, 0, 0), (0, 1, 0), SLIDING), Plane((WALL, 0, 0), (1, 0, 0), 0.0)]
     solver = Solver(meeting_bodies(young), shapes, gravity=(0, 0, 0), integrator=integrator, hands=0, sleep=False)
     slider, sled, result = 2 * len(MEETINGS), 2 * len(MEETINGS) + 4, {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from display.record.replay import Replay
     from scenes.scene import Scene
 
+EARLIER_TOYS = ("ring_red", "ball", "toy_duck")  # in the sandbox: the first in recordings up to version 4, all in 5
 FPS = 60  # [1/s] of a headless play
 SIZE = (960, 540)  # [px] of a headless play
 SECONDS = 5  # [s] of a headless play of a scene without a game
@@ -118,8 +119,8 @@ def open_replay(options: PlayOptions) -> Replay | None:
     from display.record.replay import Replay
 
     replay = Replay.load(options.replay)
-    if replay.version < 5:
-        replay.about = with_its_toy(replay.about)
+    if replay.version < 6:
+        replay.about = with_its_toys(replay.about, EARLIER_TOYS[: 3 if replay.version == 5 else 1])
     take_options(options, replay.about, options.replay, "recording was made")
     return replay
 
@@ -133,17 +134,17 @@ def open_state(options: PlayOptions) -> SceneState | None:
 
     path = options.state
     state = read_state(path)
-    alone = TOYS[1] not in dict(state.assets)
-    take_options(options, with_its_toy(state.about) if alone else state.about, path, "state was saved")
+    there = dict(state.assets)
+    earlier = [toy for toy in EARLIER_TOYS if toy in there and TOYS[1] not in there]
+    take_options(options, with_its_toys(state.about, earlier), path, "state was saved")
     options.state = path  # not that from which its own play went on
     return state
 
 
-def with_its_toy(about: dict[str, Any]) -> dict[str, Any]:
-    """The options of a play from the time when a ring alone lay in the sandbox, where the user brought nothing."""
-    from scenes.sandbox import RING
-
-    return about | ({"body": [RING]} if about.get("scene") == "sandbox" and not about.get("body") else {})
+def with_its_toys(about: dict[str, Any], toys: Sequence[str]) -> dict[str, Any]:
+    """The options of a play from the time when other toys lay in the sandbox, where the user brought nothing."""
+    from_then = toys and about.get("scene") == "sandbox" and not about.get("body")
+    return about | ({"body": list(toys)} if from_then else {})
 
 
 def take_options(options: PlayOptions, about: dict[str, Any], file: Path, made: str) -> None:

@@ -29,7 +29,7 @@ from display.protocol import Frame
 from display.user_commands import Command, commands_from_text
 from render import SORTS
 
-FORMAT, VERSION = "vrgs-recording", 5
+FORMAT, VERSION = "vrgs-recording", 6
 # 1: bodies were not of their own material; 2: there was one body at most; 3: `layouts` told what hands consist of
 JOURNAL = b"vrgs-journal 4\n"
 HEADER_MAX = 4096  # [bytes] of the line before a block

@@ -135,7 +135,7 @@ def test_nodes_that_repeat_a_mesh_are_bounded_by_the_size_of_the_file(tmp_path):
 
 
 def test_other_readers_find_points_with_colours(tmp_path):
-    """What a program that does not know the extension needs: bounds of the positions, and COLOR_0."""
+    """Bounds of the positions and COLOR_0 are there, for programs that do not know the extension."""
     g = some_gaussians(30, 2)
     write_glb(tmp_path / "a.glb", g)
     file = GlbFile(tmp_path / "a.glb")

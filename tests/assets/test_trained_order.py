@@ -1,4 +1,4 @@
-"""How splats were trained: kept by formats and programs, and drawn so; the order is z for files from elsewhere."""
+"""Order and anti-aliasing of a training: formats and programs keep them and draw so; z for files from elsewhere."""
 
 import gzip
 from dataclasses import replace

@@ -22,8 +22,10 @@ from commands.play import open_session
 from commands.play_options import PREPARATION, STATE, PlayOptions, SceneOptions
 from core.errors import BadInput
 from core.spherical_harmonics import C0
+from scenes.registry import label
 
 Kind = Literal["ply", "compressed.ply", "spz", "splat", "sog", "glb", "vtu", "obj"]
+PAGE = "html"
 PROGRESS_SIZE_MIN = 20 << 20  # [bytes] of input; less takes about a second
 
 
@@ -34,19 +36,27 @@ class ExportOptions(SceneOptions):
         "export --scene ring_toss --every 2 --out toss/ --format spz",
         "export --scene sandbox --body cat.ply --frames 60 --only 0 --out cat.vtu",
         "export --replay play.h5 --every 4 --out play/",
+        "export --scene ring_toss --out toss.html",
     )
     CONDITIONS = (
         STATE,
         cli.Condition(("--format",), lambda o: is_folder(o.out), "is for a folder; a file's name gives its format"),
-        cli.Condition(("--every",), lambda o: is_folder(o.out), "is for a sequence: --out must be a folder"),
+        cli.Condition(
+            ("--every",),
+            lambda o: is_folder(o.out) or kind_of(o) == PAGE,
+            "is for a sequence: --out must be a folder, or a .html",
+        ),
+        cli.Condition(("--embedding",), lambda o: kind_of(o) != PAGE, "is not for a .html, which has two levels"),
         cli.Condition(("--no-shadows",), lambda o: kind_of(o) not in ("vtu", "obj"), "is for splats, not for cages"),
         PREPARATION,
     )
 
     out: Path = cli.option(
-        "FILE|DIR", f"file of the last frame (.{', .'.join(get_args(Kind))}), or folder of a sequence", cli.REQUIRED
+        "FILE|DIR",
+        f"file of the last frame (.{', .'.join(get_args(Kind))}), folder of a sequence, or page of the play (.html)",
+        cli.REQUIRED,
     )
-    every: cli.Count | None = cli.option("N", "sequence: every N-th frame, of 60 a second (default 2)")
+    every: cli.Count | None = cli.option("N", "sequence, .html: every N-th frame, of 60 a second (default 2)")
     format: Kind = cli.option(None, "sequence: kind of its files (default ply)", "ply")
     only: str | None = cli.option("BODY", "only one body, by its number or the name of its asset")
     no_shadows: bool = cli.switch("splats: write colours as in full light")
@@ -64,29 +74,40 @@ def is_folder(path: Path) -> bool:
 
 def export(options: ExportOptions) -> None:
     """Play the scene and write what --out names. Raises BadInput."""
+    from display.keep.played_page import PlayedPage
     from display.keep.scene_export import export_suffix, exporter
 
     sequence, start, files = is_folder(options.out), time.perf_counter(), []
+    page = kind_of(options) == PAGE and not sequence
     if sequence:
         make_folder(options.out)
     else:
         check_writable(options.out)
-        export_suffix(options.out)
+        if not page:
+            export_suffix(options.out)
     every = options.every or 2
     played = PlayOptions(**options.values_of(SceneOptions), headless=True, size=(16, 16), sort="z", sound="off")
     with open_session(played) as session:
-        world, body = session.world, None
+        world, what = session.world, {}
         for index, frame in enumerate(session.frames()):
             world.step(frame)
-            body = find_body(world, options.only) if index == 0 else body
-            if sequence and index % every == 0:
+            if index == 0:
+                what = {"body": find_body(world, options.only), "shadows": not options.no_shadows}
+                played = PlayedPage(world, label(options.scene).replace("_", " "), **what) if page else None
+            if index % every:
+                continue
+            if page:
+                played.take(frame.time)
+            elif sequence:
                 files.append(options.out / f"frame_{index:05d}.{options.format}")
-                exporter(world, files[-1], body=body, shadows=not options.no_shadows)()
-        if not sequence:
-            files.append(options.out)
-            exporter(world, options.out, body=body, shadows=not options.no_shadows)()
+                exporter(world, files[-1], **what)()
+        if page:
+            played.write(options.out)
+        elif not sequence:
+            exporter(world, options.out, **what)()
+        files = files if sequence else [options.out]
     size, count = sum(f.stat().st_size for f in files) / 1e6, len(files)
-    what = f"{count} files" if sequence else f"frame {index + 1}"
+    what = f"{count} files" if sequence else f"{index + 1} frames" if page else f"frame {index + 1}"
     print(f"{options.out}: {what}, {size:.1f} MB, {time.perf_counter() - start:.1f} s")
 
 

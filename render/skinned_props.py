@@ -65,7 +65,7 @@ class SkinnedProps:
             Upload([self.target, self.part, self.weight, self.cov, self.mean, self.normal, self.base, self.opacity])(
                 [begin + np.arange(N), part, weight, g.covariances, g.means, normal, color, g.opacities]
             )
-        self._placed = None  # poses of the last call of `place`
+        self.placed = None  # poses of the last call of `place`, (parts, 12)
         self.place(np.tile(HIDDEN_POSE, (self.parts, 1, 1)), None)
 
     def place(self, poses: np.ndarray, light: Light | None) -> bool:
@@ -73,9 +73,9 @@ class SkinnedProps:
         poses = np.array(poses[: self.parts], np.float32)
         poses[~(np.abs(poses) < HIDDEN_DISTANCE).all(axis=(1, 2))] = HIDDEN_POSE
         poses = poses.reshape(self.parts, 12)
-        if self._placed is not None and np.array_equal(self._placed, poses):
+        if self.placed is not None and np.array_equal(self.placed, poses):
             return False
-        self._placed = poses
+        self.placed = poses
         position = (0.0, 1e3, 0.0) if light is None else light.position
         if light is not None and light.kind == "directional":
             position = np.subtract(light.position, light.target) * 1e3

@@ -234,7 +234,14 @@ def _smallest_three(packed: np.ndarray) -> np.ndarray:
 
 
 def write_spz(path: str | Path, g: Gaussians, version: int = 3) -> None:
-    """Write version 3, which all programs read, or 4. Raises BadInput.
+    """Write `spz_bytes`. Raises BadInput."""
+    data = spz_bytes(path, g, version)
+    with atomic_write(path) as beside:
+        beside.write_bytes(data)
+
+
+def spz_bytes(path: str | Path, g: Gaussians, version: int = 3) -> bytes:
+    """A file of version 3, which all programs read, or 4. Raises BadInput, naming `path`.
 
     Positions are rounded to 2^-16 m (more beyond 128 m), all else to 8 to 10 bits.
     Log-scales outside -10..5.94 and SH coefficients outside -1..0.99 are clamped; `object_id` is not stored.
@@ -261,20 +268,18 @@ def write_spz(path: str | Path, g: Gaussians, version: int = 3) -> None:
     streams = [np.ascontiguousarray(s).tobytes() for s in streams]
     about = SPZ_MAGIC, version, n, g.sh_degree, bits
     named = g.sort.encode() if g.sort not in ("", "z") else b""
-    with atomic_write(path) as beside, open(beside, "wb") as file:
-        if version == 4:
-            import zstandard
+    if version == 4:
+        import zstandard
 
-            sizes = [len(s) for s in streams if s]
-            packed = [zstandard.compress(s, ZSTD_LEVEL) for s in streams if s]
-            more = EXTENSION.pack(SORT, len(named)) + named if named else b""
-            flags = ANTIALIASED * g.antialias | EXTENSIONS * bool(named)
-            file.write(SPZ_HEADER.pack(*about, flags, len(packed)))
-            file.write((HEADER_4_SIZE + len(more)).to_bytes(HEADER_4_SIZE - TABLE_OFFSET, "little") + more)
-            file.writelines(STREAM_ENTRY.pack(len(p), size) for p, size in zip(packed, sizes, strict=True))
-            file.writelines(packed)
-            return
-        packed = gzip.compress(SPZ_HEADER.pack(*about, ANTIALIASED * g.antialias, 0) + b"".join(streams), 6, mtime=0)
-        if named:
-            packed = packed[:3] + bytes([GZIP_COMMENT]) + packed[4:10] + b"sort " + named + b"\0" + packed[10:]
-        file.write(packed)
+        sizes = [len(s) for s in streams if s]
+        packed = [zstandard.compress(s, ZSTD_LEVEL) for s in streams if s]
+        more = EXTENSION.pack(SORT, len(named)) + named if named else b""
+        flags = ANTIALIASED * g.antialias | EXTENSIONS * bool(named)
+        head = SPZ_HEADER.pack(*about, flags, len(packed))
+        head += (HEADER_4_SIZE + len(more)).to_bytes(HEADER_4_SIZE - TABLE_OFFSET, "little") + more
+        table = [STREAM_ENTRY.pack(len(p), size) for p, size in zip(packed, sizes, strict=True)]
+        return b"".join([head, *table, *packed])
+    packed = gzip.compress(SPZ_HEADER.pack(*about, ANTIALIASED * g.antialias, 0) + b"".join(streams), 6, mtime=0)
+    if named:
+        packed = packed[:3] + bytes([GZIP_COMMENT]) + packed[4:10] + b"sort " + named + b"\0" + packed[10:]
+    return packed

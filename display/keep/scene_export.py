@@ -52,13 +52,21 @@ def exporter(world: World, path: Path, *, body: int | None = None, shadows: bool
 def shown_gaussians(world: World, body: int | None, *, shadows: bool) -> Callable[[], Gaussians]:
     """Read the Gaussians of room and bodies as the last picture showed them, without hands; or those of a body.
 
-    Returns what makes a splat of them: axes from covariances, harmonics turned into the world. In shadow,
-    v (1/2 + SH) = 1/2 + SH' with SH' = v SH + (v - 1) / 2 in degree 0. Raises BadInput.
+    Returns what makes a splat of them. Raises BadInput.
     """
-    device, splats = world.device, world.device.splats
-    spans = [(0, device.still), (device.first, splats.count)]
+    device = world.device
+    spans = [(0, device.still), (device.first, device.splats.count)]
     if body is not None:
         spans = [world.registry.gaussian_span(body)]
+    return gaussians_of(world, spans, shadows=shadows)
+
+
+def gaussians_of(world: World, spans: Sequence[tuple[int, int]], *, shadows: bool) -> Callable[[], Gaussians]:
+    """As `shown_gaussians`, of these spans of the splats: axes from covariances, harmonics turned into the world.
+
+    In shadow, v (1/2 + SH) = 1/2 + SH' with SH' = v SH + (v - 1) / 2 in degree 0.
+    """
+    device, splats = world.device, world.device.splats
     which = np.concatenate([np.arange(*span) for span in spans])
     if len(which) == 0:
         raise BadInput("there is nothing to export: the scene has no Gaussians")

@@ -102,20 +102,19 @@ class PlayedPage:
 
     def __init__(self, world: World, title: str, *, body: int | None = None, shadows: bool = True):
         self.world, self.title, self.body, self.shadows = world, title, body, shadows
-        still = world.device.still if body is None else 0
-        self._still = gaussians_of(world, [(0, still)], shadows=False)() if still else None
+        self._still = world.device.still if body is None else 0  # Gaussians of the room
         self._times: list[float] = []
         self._tracks: list[Track] = []
         self._owners: dict[object, int] = {}  # the track that has the look of a body's source, or of a hand
         self._live: dict[object, tuple[Track, int]] = {}  # with its first slot
         self._members: tuple | None = None
-        self._light = np.full(still, LIGHT_LEVELS, np.uint8)  # of each slot: the still Gaussians', then each track's
+        self._light = np.full(self._still, LIGHT_LEVELS, np.uint8)  # of the slots: the room's, then each track's
         self._changes: list[tuple[np.ndarray, np.ndarray]] = []  # slots and their new levels
         self._parts: list[EmbeddedBody] = []  # by the source of a member
 
     def take(self, time: float) -> None:
         """Add the world as it is now, `time` [s] after the start, as a keyframe."""
-        registry, device = self.world.registry, self.world.device
+        registry = self.world.registry
         if registry.members != self._members:  # indices of bodies mean others from now on
             self._members, self._live = registry.members, {}
         shown = {}  # of each Gaussian span that is shown now: its first slot
@@ -129,9 +128,7 @@ class PlayedPage:
         self._times.append(time)
         self._live = {key: entry for key, entry in self._live.items() if entry[1] in shown.values()}  # a hand may go
         if self.shadows:
-            if self._still is not None:
-                shown[0, device.still] = 0
-            self._take_light(shown)
+            self._take_light({(0, self._still): 0, **shown})
 
     def _follow(self, key: object, source: object, span: tuple[int, int], x: np.ndarray, scale: float) -> int:
         """Add vertices [m] to the track of a key, or to a new one; returns its first slot."""
@@ -185,7 +182,9 @@ class PlayedPage:
     def write(self, path: Path) -> None:
         """Write the page. Raises BadInput."""
         looks = [track.look.gaussians for track in self._tracks if track.look]
-        gaussians = concatenate([*([] if self._still is None else [self._still]), *looks])
+        if self._still:  # the room as it is at the end: the user may have turned it
+            looks.insert(0, gaussians_of(self.world, [(0, self._still)], shadows=False)())
+        gaussians = concatenate(looks)
         scene, eye, target = self.world.scene, self.world.scene.eye, self.world.scene.target
         if self.body is not None:
             eye, target = view_around(gaussians, ASPECT)
@@ -205,7 +204,7 @@ class PlayedPage:
             "fov_y": scene.fov_y,
             "background": list(scene.background),
             "antialias": bool(self.world.device.renderer.rasterizer.projection.antialias),
-            "still": 0 if self._still is None else len(self._still),
+            "still": self._still,
             "tracks": tracks,
             "changes": [len(slots) for slots, _ in self._changes],
         }

@@ -52,6 +52,7 @@ REFUSED = [  # for each condition a command line, and what is said about the opt
     ("export --out a.ply --format spz", "--format is for a folder"),
     ("export --out a.ply --every 3", "--every is for a sequence"),
     ("export --out a.vtu --no-shadows", "--no-shadows is for splats"),
+    ("export --out a.html --embedding one-level", "--embedding is not for a .html"),
     ("capture a --out r --no-objects --lama n", "--lama is not for --no-objects"),
     ("view a.ply --snapshot a.png --frames 3", "--frames belongs to a window"),
     ("view a.ply --snapshot a.png --out b.ply", "--out is where a crop made in the window is written"),

@@ -35,6 +35,7 @@ class Chromium:
         options = ["--headless=new", "--remote-debugging-port=0", f"--user-data-dir={self._profile.name}"]
         options += ["--no-first-run", "--disable-gpu", "--disable-extensions", "--disable-background-networking"]
         options += ["--disable-background-timer-throttling", "--disable-renderer-backgrounding", "--hide-scrollbars"]
+        options += ["--enable-unsafe-swiftshader"]  # WebGL without a GPU
         options += ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
         self._process = subprocess.Popen([PROGRAM, *options], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         port = Path(self._profile.name) / "DevToolsActivePort"

@@ -93,16 +93,16 @@ def export(options: ExportOptions) -> None:
             world.step(frame)
             if index == 0:
                 what = {"body": find_body(world, options.only), "shadows": not options.no_shadows}
-                played = PlayedPage(world, label(options.scene).replace("_", " "), **what) if page else None
+                film = PlayedPage(world, label(played.scene).replace("_", " "), **what) if page else None
             if index % every:
                 continue
             if page:
-                played.take(frame.time)
+                film.take(frame.time)
             elif sequence:
                 files.append(options.out / f"frame_{index:05d}.{options.format}")
                 exporter(world, files[-1], **what)()
         if page:
-            played.write(options.out)
+            film.write(options.out)
         elif not sequence:
             exporter(world, options.out, **what)()
         files = files if sequence else [options.out]

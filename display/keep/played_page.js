@@ -17,7 +17,7 @@ const ROW = 1024;  // Gaussians in a row of the textures
 function work() {
   const ROW = 1024, MAX_STRETCH = 4;  // as in sim/embedding.py
   let play, tracks, count, first, colours, floats, shade, changes, bits;
-  let shadeAt = -1, ids, distances;
+  let shadeAt = -1, sortedFor = "", ids, distances;
 
   const inflate = async (bytes) => new Uint8Array(await new Response(
     new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer());
@@ -188,7 +188,7 @@ function work() {
     floats[at + 2] = Math.sign(d - b) * Math.sqrt(Math.max(0, 1 - a - e + i)) / 2;
   }
 
-  // Let `shade` be what it is at a moment; returns whether it has changed.
+  // Let `shade` be what it is at a keyframe; returns whether it may have changed.
   function shadeTo(moment) {
     const before = shadeAt;
     if (moment < shadeAt) {
@@ -207,15 +207,16 @@ function work() {
   }
 
   // Slots of what is there, farthest first: a counting sort of 16 bits of the distance from the eye.
-  function sorted(live, eye, area) {
+  function sorted(live, eye) {
     let n = 0, nearest = Infinity, farthest = 0;
     for (const [begin, end] of live) {
       for (let s = begin; s < end; s++) {
-        const d = Math.hypot(floats[4 * s] - eye[0], floats[4 * s + 1] - eye[1], floats[4 * s + 2] - eye[2]);
+        const x = floats[4 * s] - eye[0], y = floats[4 * s + 1] - eye[1], z = floats[4 * s + 2] - eye[2];
+        const d = Math.sqrt(x * x + y * y + z * z);  // Math.hypot takes several times as long
         distances[n] = d;
         ids[n++] = s;
-        nearest = Math.min(nearest, d);
-        farthest = Math.max(farthest, d);
+        if (d < nearest) nearest = d;
+        if (d > farthest) farthest = d;
       }
     }
     const counts = new Uint32Array(65537), order = new Uint32Array(n), per = 65535 / Math.max(farthest - nearest, 1e-9);
@@ -245,8 +246,10 @@ function work() {
         moved.set(floats.subarray(from, from + 4 * ROW * rows), 4 * layer * ROW * rows);
       }
     }
-    const order = sorted(live, eye, area), light = shadeTo(k) ? shade.slice() : null;
-    postMessage({ order, moved, begin, rows, light }, [order.buffer, ...(moved ? [moved.buffer] : [])]);
+    const there = `${live} ${eye}`, order = moved || there !== sortedFor ? sorted(live, eye) : null;
+    sortedFor = there;
+    const light = shadeTo(k) ? shade.slice() : null;
+    postMessage({ order, moved, begin, rows, light }, [order, moved, light].filter(Boolean).map((array) => array.buffer));
   }
 
   onmessage = ({ data }) => data.scene ? open(data.scene, data.motion) : moment(data.k, data.mix, data.eye);
@@ -388,8 +391,11 @@ class Painter {
     if (light) this.setLight(light);
     gl.activeTexture(gl.TEXTURE0);
     if (moved) gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, begin, 0, ROW, rows, 3, gl.RGBA, gl.FLOAT, moved);
-    gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
-    this.count = order.length;
+    if (order) {
+      gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+      this.count = order.length;
+    }
+    return Boolean(order || light);
   }
 
   draw(view) {
@@ -486,8 +492,7 @@ function start() {
       requestAnimationFrame((now) => tick(now, worker));
     } else if (painter) {
       busy = false;
-      stale = true;
-      painter.take(data);
+      stale = painter.take(data) || stale;
       say("");
     }
   };

@@ -5,8 +5,8 @@
 const get = (id) => document.getElementById(id);
 const picture = get("picture"), slider = get("slider");
 const HINT_SECONDS = 12, END_SECONDS = 1;  // how long the hint is shown, how long the last moment before it starts again
-const NEAREST = 0.05, FARTHEST = 8;  // [m] from the target; in multiples of the first distance
-const STEEPEST = 1.54;  // [rad] above or below the target
+const NEAREST = 0.05, FARTHEST = 3;  // [m] from the target; in multiples of the first distance, which is in a room
+const STEEPEST = 1.54, LOWEST = 0.05;  // [rad] above the target: in a room that stands on something
 const TURN_PER_PIXEL = 0.006, ZOOM_PER_PIXEL = 0.0012;  // [rad], [-]
 const WIDEST = 1.25;  // narrower pages keep the horizontal angle of this ratio of width to height
 const PIXELS_MAX = 2;  // device pixels per CSS pixel: more cost time and show nothing
@@ -16,8 +16,8 @@ const ROW = 1024;  // Gaussians in a row of the textures
 
 function work() {
   const ROW = 1024, MAX_STRETCH = 4;  // as in sim/embedding.py
-  let play, tracks, count, first, colours, floats, shade, changes, bits;
-  let shadeAt = -1, sortedFor = "", ids, distances;
+  let play, tracks, colours, floats, shade, changes, ids, distances;
+  let shadeAt = -1, sortedFor = "";
 
   const inflate = async (bytes) => new Uint8Array(await new Response(
     new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer());
@@ -67,7 +67,7 @@ function work() {
     play = JSON.parse(new TextDecoder().decode(data.subarray(4, at)));
     const gaussians = spz(await inflate(scene));
     tracks = play.tracks;
-    count = play.still;
+    let count = play.still, first = play.still;  // slots, and Gaussians in the file, where a look is there once
     for (const t of tracks) {
       t.slot = count;
       count += t.count;
@@ -76,7 +76,6 @@ function work() {
     floats = new Float32Array(12 * area);
     colours = new Uint8Array(4 * area * (1 + gaussians.K));
     for (let g = 0; g < play.still; g++) gaussians.read(g, g, area);
-    first = play.still;  // in the file; a look is there once
     for (const t of tracks) {
       t.own = tracks[t.look];
       if (t.own === t) {
@@ -91,8 +90,7 @@ function work() {
       for (let i = 0; i < t.path.length; i++) t.path[i] = (i < size ? 0 : t.path[i - size]) + (low[i] | high[i] << 8);
       if (t.own === t) rest(t, area);
     }
-    bits = Math.ceil(count / 8);
-    changes = play.changes.map((n) => [take(Uint8Array, bits), take(Uint8Array, n)]);
+    changes = play.changes.map((n) => [take(Uint8Array, Math.ceil(count / 8)), take(Uint8Array, n)]);
     shade = new Uint8Array(area).fill(255);
     ids = new Uint32Array(count);
     distances = new Float32Array(count);
@@ -110,7 +108,7 @@ function work() {
     }
   }
 
-  // Keep D^-1, the offset of the mean from the centroid and Sigma of each Gaussian, at the track's first moment.
+  // Keep D^-1, the offset of the mean from the centroid and Sigma of each Gaussian, at the track's first keyframe.
   function rest(t, area) {
     const y = new Float64Array(12), F = 4 * area;
     pose(t, 0, 0);
@@ -131,7 +129,7 @@ function work() {
     t.x.fill(NaN);
   }
 
-  // Put the vertices of a track between two of its moments; returns whether any has moved.
+  // Put the vertices of a track between two of its keyframes; returns whether any has moved.
   function pose(t, a, mix) {
     const size = t.x.length, from = a * size, to = Math.min(a + 1, t.frames - 1) * size;
     let moved = false;
@@ -188,22 +186,23 @@ function work() {
     floats[at + 2] = Math.sign(d - b) * Math.sqrt(Math.max(0, 1 - a - e + i)) / 2;
   }
 
-  // Let `shade` be what it is at a keyframe; returns whether it may have changed.
-  function shadeTo(moment) {
-    const before = shadeAt;
-    if (moment < shadeAt) {
+  // Let `shade` be what it is at a keyframe; returns whether it has changed.
+  function shadeTo(k) {
+    let changed = k < shadeAt;
+    if (changed) {
       shade.fill(255);
       shadeAt = -1;
     }
-    while (shadeAt < moment && changes.length) {
+    while (shadeAt < k && changes.length) {
       const [mask, values] = changes[++shadeAt];
+      changed = changed || values.length > 0;
       for (let byte = 0, v = 0; v < values.length; byte++) {
         for (let bit = mask[byte], s = 8 * byte; bit; bit = bit << 1 & 255, s++) {
           if (bit & 128) shade[s] = values[v++];
         }
       }
     }
-    return before !== shadeAt;
+    return changed;
   }
 
   // Slots of what is there, farthest first: a counting sort of 16 bits of the distance from the eye.
@@ -259,7 +258,7 @@ function work() {
 // ---------------------------------------------------------------- drawing
 
 const VERTEX = `#version 300 es
-precision highp float; precision highp int; precision highp sampler2DArray;
+precision highp float; precision highp int; precision highp sampler2D; precision highp sampler2DArray;
 uniform sampler2DArray floats, colours;
 uniform sampler2D light;
 uniform mat3 camera;  // columns: right, down, forward
@@ -391,10 +390,8 @@ class Painter {
     if (light) this.setLight(light);
     gl.activeTexture(gl.TEXTURE0);
     if (moved) gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, begin, 0, ROW, rows, 3, gl.RGBA, gl.FLOAT, moved);
-    if (order) {
-      gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
-      this.count = order.length;
-    }
+    if (order) gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+    if (order) this.count = order.length;
     return Boolean(order || light);
   }
 
@@ -417,10 +414,7 @@ const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a
 const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
 
 class Orbit {
-  constructor(play) {
-    this.play = play;
-    this.reset();
-  }
+  constructor(play) { this.play = play; this.reset(); }
 
   reset() {
     const away = sum(this.play.eye, this.play.target, -1);
@@ -428,11 +422,12 @@ class Orbit {
     this.distance = this.first = Math.hypot(...away);
     this.yaw = Math.atan2(away[0], away[2]);
     this.pitch = Math.asin(clamp(away[1] / this.distance, -1, 1));
+    this.lowest = this.play.still ? Math.min(LOWEST, this.pitch) : -STEEPEST;
   }
 
   turn(dx, dy) {
     this.yaw -= TURN_PER_PIXEL * dx;
-    this.pitch = clamp(this.pitch + TURN_PER_PIXEL * dy, -STEEPEST, STEEPEST);
+    this.pitch = clamp(this.pitch + TURN_PER_PIXEL * dy, this.lowest, STEEPEST);
   }
 
   zoom(factor) { this.distance = clamp(this.distance * factor, NEAREST, FARTHEST * this.first); }
@@ -456,10 +451,7 @@ class Orbit {
 let painter = null, orbit = null, times = [0], time = 0, playing = false;
 let asked = "", busy = false, stale = true, last = 0;
 
-function say(text) {
-  get("say").textContent = text;
-  get("say").hidden = !text;
-}
+const say = (text) => Object.assign(get("say"), { textContent: text, hidden: !text });
 
 function fail(text) {
   painter = null;
@@ -488,21 +480,21 @@ function start() {
       } catch (error) {
         return fail(error.message);
       }
-      begin(data.play);
+      orbit = new Orbit(data.play);
+      times = data.play.times;
       requestAnimationFrame((now) => tick(now, worker));
     } else if (painter) {
       busy = false;
       stale = painter.take(data) || stale;
-      say("");
+      if (!get("say").hidden) begin();
     }
   };
   const scene = bytesOf("scene"), motion = bytesOf("motion");
   worker.postMessage({ scene, motion }, [scene.buffer, motion.buffer]);
 }
 
-function begin(play) {
-  orbit = new Orbit(play);
-  times = play.times;
+function begin() {
+  say("");
   get("bar").hidden = times.length < 2;
   get("hint").hidden = false;
   setTimeout(() => get("hint").classList.add("gone"), 1000 * HINT_SECONDS);

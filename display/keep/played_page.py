@@ -182,7 +182,7 @@ class PlayedPage:
     def write(self, path: Path) -> None:
         """Write the page. Raises BadInput."""
         looks = [track.look.gaussians for track in self._tracks if track.look]
-        if self._still:  # the room as it is at the end: the user may have turned it
+        if self._still or not looks:  # the room as it is at the end: the user may have turned it
             looks.insert(0, gaussians_of(self.world, [(0, self._still)], shadows=False)())
         gaussians = concatenate(looks)
         scene, eye, target = self.world.scene, self.world.scene.eye, self.world.scene.target

@@ -15,7 +15,7 @@ const ROW = 1024;  // Gaussians in a row of the textures
 // ---------------------------------------------------------------- the worker: what is where, and in which order
 
 function work() {
-  const ROW = 1024, MAX_STRETCH = 4;  // as in sim/embedding.py
+  const ROW = 1024, MAX_STRETCH = 4, PLAIN = 2;  // as below, as in sim/embedding.py, in place of x if all SH are 0
   let play, tracks, colours, floats, shade, changes, ids, distances;
   let shadeAt = -1, sortedFor = "";
 
@@ -54,8 +54,10 @@ function work() {
       const S = (i, j) => R[i] * R[j] * v[0] + R[i + 1] * R[j + 1] * v[1] + R[i + 2] * R[j + 2] * v[2];
       floats[f + 3] = S(0, 0); floats[F + f] = S(0, 3); floats[F + f + 1] = S(0, 6); floats[F + f + 2] = S(3, 3);
       floats[F + f + 3] = S(3, 6); floats[2 * F + f] = S(6, 6);
-      for (let k = 0; k < K; k++) {
-        for (let c = 0; c < 3; c++) colours[F * (k + 1) + f + c] = bytes[at[5] + 3 * (K * g + k) + c];
+      floats[2 * F + f + 1] = PLAIN;
+      for (let k = 0; k < 3 * K; k++) {
+        const byte = colours[F * (1 + Math.floor(k / 3)) + f + k % 3] = bytes[at[5] + 3 * K * g + k];
+        if (byte !== 128) floats[2 * F + f + 1] = 0;
       }
     } };
   }
@@ -167,7 +169,7 @@ function work() {
       floats[F + s] = product(0, 1) * shrink; floats[F + s + 1] = product(0, 2) * shrink;
       floats[F + s + 2] = yy * shrink; floats[F + s + 3] = product(1, 2) * shrink;
       floats[2 * F + s] = zz * shrink;
-      turn(M, 2 * F + s + 1);
+      if (floats[2 * F + s + 1] < PLAIN) turn(M, 2 * F + s + 1);
     }
   }
 
@@ -314,7 +316,7 @@ void main() {
   vec2 pixel = focal * p.xy / p.z + place.x * sqrt(longest) * axis + place.y * sqrt(shortest) * vec2(-axis.y, axis.x);
   gl_Position = vec4(pixel * vec2(2.0, -2.0) / size, 0.0, 1.0);
   vec3 rgb = 0.5 + 0.28209479 / 0.15 * (shown.rgb - 0.5);
-  if (coefficients > 0) {
+  if (c.y < 1.5) {  // not PLAIN
     vec3 q = c.yzw, d = normalize(a.xyz - eye), t = 2.0 * cross(d, q);  // the inverse turn
     d += sqrt(max(0.0, 1.0 - dot(q, q))) * t + cross(t, q);
     rgb += harmonics(at, d * vec3(1.0, -1.0, -1.0));  // SPZ: y and z the other way
@@ -371,10 +373,8 @@ class Painter {
     gl.enableVertexAttribArray(0);
     gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
     gl.vertexAttribDivisor(0, 1);
-    gl.enable(gl.BLEND);
-    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.enable(gl.BLEND); gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.clearColor(...play.background, 1);
-    this.count = 0;
   }
 
   at(name) { return this.gl.getUniformLocation(this.program, name); }

@@ -42,9 +42,7 @@ class ExportOptions(SceneOptions):
         STATE,
         cli.Condition(("--format",), lambda o: is_folder(o.out), "is for a folder; a file's name gives its format"),
         cli.Condition(
-            ("--every",),
-            lambda o: is_folder(o.out) or kind_of(o) == PAGE,
-            "is for a sequence: --out must be a folder, or a .html",
+            ("--every",), lambda o: is_folder(o.out) or kind_of(o) == PAGE, "is for a sequence: a folder or a .html"
         ),
         cli.Condition(("--embedding",), lambda o: kind_of(o) != PAGE, "is not for a .html, which has two levels"),
         cli.Condition(("--no-shadows",), lambda o: kind_of(o) not in ("vtu", "obj"), "is for splats, not for cages"),
@@ -77,35 +75,31 @@ def export(options: ExportOptions) -> None:
     from display.keep.played_page import PlayedPage
     from display.keep.scene_export import export_suffix, exporter
 
-    sequence, start, files = is_folder(options.out), time.perf_counter(), []
-    page = kind_of(options) == PAGE and not sequence
+    sequence, page, start = is_folder(options.out), kind_of(options) == PAGE, time.perf_counter()
     if sequence:
         make_folder(options.out)
     else:
         check_writable(options.out)
         if not page:
             export_suffix(options.out)
-    every = options.every or 2
+    every, files = options.every or 2, [] if sequence else [options.out]
     played = PlayOptions(**options.values_of(SceneOptions), headless=True, size=(16, 16), sort="z", sound="off")
     with open_session(played) as session:
-        world, what = session.world, {}
+        world = session.world
         for index, frame in enumerate(session.frames()):
             world.step(frame)
             if index == 0:
-                what = {"body": find_body(world, options.only), "shadows": not options.no_shadows}
-                film = PlayedPage(world, label(played.scene).replace("_", " "), **what) if page else None
-            if index % every:
-                continue
-            if page:
+                wanted = {"body": find_body(world, options.only), "shadows": not options.no_shadows}
+                film = PlayedPage(world, label(played.scene).replace("_", " "), **wanted) if page else None
+            if page and index % every == 0:
                 film.take(frame.time)
-            elif sequence:
+            elif sequence and index % every == 0:
                 files.append(options.out / f"frame_{index:05d}.{options.format}")
-                exporter(world, files[-1], **what)()
+                exporter(world, files[-1], **wanted)()
         if page:
             film.write(options.out)
         elif not sequence:
-            exporter(world, options.out, **what)()
-        files = files if sequence else [options.out]
+            exporter(world, options.out, **wanted)()
     size, count = sum(f.stat().st_size for f in files) / 1e6, len(files)
     what = f"{count} files" if sequence else f"{index + 1} frames" if page else f"frame {index + 1}"
     print(f"{options.out}: {what}, {size:.1f} MB, {time.perf_counter() - start:.1f} s")

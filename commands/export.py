@@ -21,6 +21,7 @@ from commands import options as cli
 from commands.play import open_session
 from commands.play_options import PREPARATION, STATE, PlayOptions, SceneOptions
 from core.errors import BadInput
+from core.program import USD, check_usd
 from core.spherical_harmonics import C0
 from scenes.registry import label
 
@@ -37,12 +38,15 @@ class ExportOptions(SceneOptions):
         "export --scene sandbox --body cat.ply --frames 60 --only 0 --out cat.vtu",
         "export --replay play.h5 --every 4 --out play/",
         "export --scene ring_toss --out toss.html",
+        "export --scene ring_toss --out toss.usdz",
     )
     CONDITIONS = (
         STATE,
         cli.Condition(("--format",), lambda o: is_folder(o.out), "is for a folder; a file's name gives its format"),
         cli.Condition(
-            ("--every",), lambda o: is_folder(o.out) or kind_of(o) == PAGE, "is for a sequence: a folder or a .html"
+            ("--every",),
+            lambda o: is_folder(o.out) or kind_of(o) == PAGE or is_usd(o.out),
+            "is for a sequence: a folder, a .html or an OpenUSD file",
         ),
         cli.Condition(("--embedding",), lambda o: kind_of(o) != PAGE, "is not for a .html, which has two levels"),
         cli.Condition(("--no-shadows",), lambda o: kind_of(o) not in ("vtu", "obj"), "is for splats, not for cages"),
@@ -51,10 +55,13 @@ class ExportOptions(SceneOptions):
 
     out: Path = cli.option(
         "FILE|DIR",
-        f"file of the last frame (.{', .'.join(get_args(Kind))}), folder of a sequence, or page of the play (.html)",
+        f"file of the last frame (.{', .'.join(get_args(Kind))}, {', '.join(USD)}), folder of a sequence, or page of the "
+        "play (.html)",
         cli.REQUIRED,
     )
-    every: cli.Count | None = cli.option("N", "sequence, .html: every N-th frame, of 60 a second (default 2)")
+    every: cli.Count | None = cli.option(
+        "N", "sequence, .html, .usd* with --frames: every N-th, of 60 a second (default 2)"
+    )
     format: Kind = cli.option(None, "sequence: kind of its files (default ply)", "ply")
     only: str | None = cli.option("BODY", "only one body, by its number or the name of its asset")
     no_shadows: bool = cli.switch("splats: write colours as in full light")
@@ -70,39 +77,61 @@ def is_folder(path: Path) -> bool:
     return path.is_dir() or not path.suffix
 
 
+def is_usd(path: Path) -> bool:
+    """True for the name of an OpenUSD file, which holds a scene as it begins, and with --frames its play."""
+    return path.suffix.lower() in USD and not path.is_dir()
+
+
 def export(options: ExportOptions) -> None:
     """Play the scene and write what --out names. Raises BadInput."""
-    from display.keep.played_page import PlayedPage
     from display.keep.scene_export import export_suffix, exporter
 
-    sequence, page, start = is_folder(options.out), kind_of(options) == PAGE, time.perf_counter()
+    sequence, page, usd = is_folder(options.out), kind_of(options) == PAGE, is_usd(options.out)
+    start, every, files, film = time.perf_counter(), options.every or 2, [], None
     if sequence:
         make_folder(options.out)
     else:
         check_writable(options.out)
-        if not page:
-            export_suffix(options.out)
-    every, files = options.every or 2, [] if sequence else [options.out]
+    if usd:
+        check_usd(f"{options.out}: OpenUSD")
+    elif not sequence and not page:
+        export_suffix(options.out)
     played = PlayOptions(**options.values_of(SceneOptions), headless=True, size=(16, 16), sort="z", sound="off")
+    if usd:
+        played.frames = options.frames or 1
     with open_session(played) as session:
         world = session.world
         for index, frame in enumerate(session.frames()):
             world.step(frame)
             if index == 0:
                 wanted = {"body": find_body(world, options.only), "shadows": not options.no_shadows}
-                film = PlayedPage(world, label(played.scene).replace("_", " "), **wanted) if page else None
-            if page and index % every == 0:
+                film = film_of(options, world, played.scene, **wanted)
+            if index % every == 0 and film is not None and (page or options.frames):
                 film.take(frame.time)
-            elif sequence and index % every == 0:
+            elif index % every == 0 and sequence:
                 files.append(options.out / f"frame_{index:05d}.{options.format}")
                 exporter(world, files[-1], **wanted)()
-        if page:
+        if film is not None:
             film.write(options.out)
         elif not sequence:
             exporter(world, options.out, **wanted)()
+    files = files or [options.out]
     size, count = sum(f.stat().st_size for f in files) / 1e6, len(files)
     what = f"{count} files" if sequence else f"{index + 1} frames" if page else f"frame {index + 1}"
     print(f"{options.out}: {what}, {size:.1f} MB, {time.perf_counter() - start:.1f} s")
+
+
+def film_of(options: ExportOptions, world, scene: str, **wanted):
+    """What takes the play into one file: a page or an OpenUSD stage; None for files of single frames."""
+    if kind_of(options) == PAGE:
+        from display.keep.played_page import PlayedPage
+
+        return PlayedPage(world, label(scene).replace("_", " "), **wanted)
+    if is_usd(options.out):
+        from display.keep.usd_export import SceneStage
+
+        return SceneStage(world, rate=60 / (options.every or 2), **wanted)
+    return None
 
 
 def find_body(world, wanted: str | None) -> int | None:

@@ -14,12 +14,16 @@ from core.material import MATERIALS
 from core.runtime import start_taichi
 
 WHERE = cli.OneOf(required=True)
-OF_BODIES = ("--material", "--mesher", "--rig", "--landmarks", "--no-report")
+OF_BODIES = ("--material", "--mesher", "--cage", "--rig", "--landmarks", "--no-report")
 
 
 @dataclass(kw_only=True)
 class PrepareOptions(cli.Preparation):
-    EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
+    EXAMPLES = (
+        "prepare cat.ply --out cat.h5 --vertices 2000",
+        "prepare cat.ply --cage cat.usda --out cat.h5",
+        "prepare room.ply --static --out room.h5",
+    )
     CONDITIONS = (
         cli.Condition(("--cell", "--cut"), lambda o: o.static, "belongs to --static"),
         cli.Condition(("--pieces",), lambda o: not o.static, "belongs to bodies; a scene has --cut"),
@@ -32,6 +36,11 @@ class PrepareOptions(cli.Preparation):
             ("--cell", "--cut", *OF_BODIES, "--force", "--quantised"), lambda o: not o.cache, "belongs to --out"
         ),
         cli.Condition(("--up", "--scale"), lambda o: not (o.cache and o.static), "belongs to --out"),
+        cli.Condition(
+            ("--vertices", "--cells", "--mesher", "--pieces"),
+            lambda o: not o.cage,
+            "is not for --cage",
+        ),
     )
 
     splats: Path = cli.argument("SPLATS", f"{cli.SPLATS}, skinned .glb; --static: or .h5")
@@ -46,6 +55,9 @@ class PrepareOptions(cli.Preparation):
     force: bool = cli.switch("overwrite OUT")
     mesher: Literal["stuffing", "tetgen"] = cli.option(
         None, "how the tetrahedra are made (default stuffing; tetgen: see requirements-tetgen.txt)", "stuffing"
+    )
+    cage: Path | None = cli.option(
+        "CAGE.usd", "take the tetrahedral mesh of an OpenUSD file, in the splat's coordinates, as its cage"
     )
     no_report: bool = cli.switch("do not write ASSET.report.html and ASSET.report.json")
     quantised: bool = cli.switch("a third to a fifth of the file's size, with barely visible losses (docs/formats.md)")
@@ -74,22 +86,30 @@ def prepare(options: PrepareOptions) -> None:
     for file in (out, *strips, *reports, *(object_file(out, k) for k in cut)):
         if file.exists() and not o.force:
             raise BadInput(f"{file}: exists already; --force overwrites it")
+    cage = None
+    if o.cage is not None:
+        from prepare.cage.cage_file import read_cage
+
+        cage = read_cage(o.cage)
     start_taichi(o.arch)
     if o.static:
         environment = EnvironmentOptions(up=o.up, scale=o.scale, cell=o.cell, cut=cut)
         for file in prepare_environment_file(o.splats, out, environment, pictures=True, quantised=o.quantised):
             print(f"wrote {file}")
         return
-    vertices = () if o.vertices else device_vertices(animated=is_animated(o.splats, o.rig))
+    made = not (o.vertices or cage)
+    vertices = device_vertices(animated=is_animated(o.splats, o.rig)) if made else ()
+    count = vertices[0] if made else o.vertices or len(cage.vertices)
     if vertices:
         print(suited(vertices[0]))
     prepare_file(
         o.splats,
         out,
-        replace(pipeline_options(o, o.vertices or vertices[0]), material=o.material, mesher=o.mesher),
+        replace(pipeline_options(o, count), material=o.material, mesher=o.mesher),
         vertices=vertices,
         rig=o.rig,
         landmarks=o.landmarks,
+        cage=cage,
         quantised=o.quantised,
         page=bool(reports),
     )

@@ -1,4 +1,4 @@
-"""Signed distances on a regular grid, and their trilinear interpolation on the host."""
+"""Signed distances on a regular grid, their trilinear interpolation on the host, and their level surfaces."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.errors import BadInput
+from core.tetmesh import enclosed_volume
 
 DISTANCE_MAX = float(np.finfo(np.float16).max)  # [m] files store distances as float16
 TURNED_NODES_MAX = 40_000_000  # of a turned grid: 160 MB
@@ -87,6 +88,24 @@ class DistanceGrid:
             raise BadInput(f"{where}: the distance grid's origin is not three finite numbers")
         if not (np.isfinite(self.spacing) and self.spacing > 0):
             raise BadInput(f"{where}: the distance grid's spacing is not positive")
+
+
+def marching_cubes(distance: DistanceGrid, level: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) [m] float64 and triangles (F, 3) int32, counter-clockwise from outside, where distance = level.
+
+    Raises BadInput where there is no such surface. scikit-image's version of Lewiner's: the surface is closed.
+    """
+    from skimage.measure import marching_cubes as lewiner
+
+    phi = distance.values
+    padded = np.pad(phi, 1, constant_values=max(float(phi.max()), level + 1.0))  # closed at the grid's border, too
+    if not float(phi.min()) < level:
+        raise BadInput("the level set has no surface")
+    vertices, faces, _, _ = lewiner(padded, level, gradient_direction="ascent", allow_degenerate=False)
+    vertices = np.asarray(distance.origin, np.float64) + distance.spacing * (vertices.astype(np.float64) - 1)
+    if enclosed_volume(vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    return vertices, np.ascontiguousarray(faces, np.int32)
 
 
 def same_grid(a: DistanceGrid | None, b: DistanceGrid | None) -> bool:

@@ -73,17 +73,27 @@ def temporary_folder() -> Path:
         raise BadInput(f"no temporary folder can be written to ({e.strerror}); TMPDIR names one") from e
 
 
-def check_open3d(user: str, requirements: str = "requirements-tetgen.txt") -> None:
-    """Raise BadInput where open3d, which `user` needs, is not installed; `requirements` is the file that names it."""
+def check_package(user: str, module: str, requirements: str, package: str = "") -> None:
+    """Raise BadInput where a module that `user` needs is not installed; `requirements` is the file that names its
+    package."""
+    package = package or module
     if ONE_FILE:
-        raise BadInput(f"{user} needs the package open3d, which this executable leaves out: run it from the source")
-    if find_spec("open3d") is None:
-        raise BadInput(f"{user} needs the package open3d: pip install -r {requirements}")
+        raise BadInput(f"{user} needs the package {package}, which this executable leaves out: run it from the source")
+    if find_spec(module) is None:
+        raise BadInput(f"{user} needs the package {package}: pip install -r {requirements}")
+
+
+USD = (".usd", ".usda", ".usdc", ".usdz")
+
+
+def check_usd(user: str) -> None:
+    """Raise BadInput where OpenUSD, which `user` needs, is not installed."""
+    check_package(user, "pxr", "requirements-usd.txt", "usd-core")
 
 
 def open3d(user: str):
     """The module open3d. Raises BadInput where it is missing or does not load."""
-    check_open3d(user)
+    check_package(user, "open3d", "requirements-tetgen.txt")
     try:
         import open3d
     except (ImportError, OSError) as e:  # OSError: it loads system libraries, such as libusb

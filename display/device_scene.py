@@ -73,7 +73,8 @@ class DeviceScene:
         self.still = len(still)
         self.first = len(still) + sum(len(s.gaussians) for s in props)
         first_caster = len(still) + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
-        self.gaussian_counts = [len(piece.part.gaussians) for piece in moving]  # of each body of the scene
+        self.parts = [piece.part for piece in moving]  # how each body of the scene is embedded
+        self.gaussian_counts = [len(part.gaussians) for part in self.parts]
         gaussians = concatenate([still, *(s.gaussians for s in props), *(piece.part.gaussians for piece in moving)])
         self.splats = Splats(
             gaussians,
@@ -96,6 +97,7 @@ class DeviceScene:
             capacity=capacity_for([piece.body for piece in reserved]) if moving else Capacity(),
             fingers=fingers,
         )
+        self.trained_sort = gaussians.sort or MOVING_SORT
         begins = self.begins(range(len(moving)))
         placed = zip(moving, self.solver.vertex_offset, begins, strict=False)
         parts = [replace(piece.part, vertex_offset=v, gaussian_offset=g) for piece, v, g in placed]
@@ -115,7 +117,7 @@ class DeviceScene:
             views=views,
             background=scene.background,
             antialias=gaussians.antialias,
-            sort=sort or gaussians.sort or MOVING_SORT,
+            sort=sort or self.trained_sort,
             outputs="deep" if depth else "rgba8",
             still=len(still),
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 from contextlib import suppress
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Lock
@@ -15,6 +14,7 @@ import numpy as np
 from assets.file_access import file_size
 from assets.images import without_stderr
 from core.errors import BadInput
+from prepare.child_process import ChildProcess
 
 SIDE = 512  # [px] of the pictures that the networks take
 MODEL_MAX = 4 << 30  # [bytes]
@@ -35,12 +35,8 @@ class OnnxNetwork:
             raise BadInput(f"{path}: a network is an .onnx file")
         if file_size(self.path) > MODEL_MAX:
             raise BadInput(f"{path}: larger than {MODEL_MAX >> 30} GiB")
-        context = get_context("spawn")  # Taichi, which this process may run, survives no fork
-        self._pipe, far = context.Pipe()
-        self._process = context.Process(target=serve, args=(far, str(path), (1, *self._shape)), daemon=True)
-        self._process.start()
-        far.close()  # else its end would not be seen here
-        self._fault = self._answer().decode()  # with which the process has ended
+        self._child = ChildProcess(serve, str(path), (1, *self._shape), patience=PATIENCE, library="OpenCV")
+        self._fault = self._child.answer().decode()  # with which the process has ended
         if self._fault:
             raise BadInput(f"{path}: OpenCV cannot read it as an ONNX network ({self._fault})")
 
@@ -48,24 +44,13 @@ class OnnxNetwork:
         """The output (channels, SIDE, SIDE) for inputs (C, SIDE, SIDE) by name; from any thread. Raises BadInput."""
         with self._lock:
             if not self._fault:
-                with suppress(OSError):  # it has ended, which `_answer` tells
-                    self._pipe.send({name: np.ascontiguousarray(v[None], np.float32) for name, v in inputs.items()})
-                self._fault = self._answer().decode()
-            found = b"" if self._fault else self._answer()
+                self._child.send({name: np.ascontiguousarray(v[None], np.float32) for name, v in inputs.items()})
+                self._fault = self._child.answer().decode()
+            found = b"" if self._fault else self._child.answer()
         if self._fault:
             names = " and ".join(f"`{name}`" for name in inputs)
             raise BadInput(f"{self.path}: does not run on inputs {names} of {SIDE} px ({self._fault})")
         return np.frombuffer(found, np.float32).reshape(self._shape)
-
-    def _answer(self) -> bytes:
-        """The next message of the process, or the reason why none comes any more."""
-        try:
-            if self._pipe.poll(PATIENCE):
-                return self._pipe.recv_bytes()
-            self._process.kill()
-            return b"it took more than %d s" % PATIENCE
-        except (EOFError, OSError):
-            return b"OpenCV crashed"
 
 
 def serve(pipe: Connection, path: str, shape: tuple[int, ...]) -> None:

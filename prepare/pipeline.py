@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
@@ -17,10 +17,18 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, Material
 from core.tetmesh import tet_volumes
-from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN, VERTEX_TOLERANCE, NoSoundCage, check_count
+from prepare.cage.cage_generation import (
+    ANGLE_MIN,
+    INSIDE_MIN,
+    VERTEX_RANGE,
+    VERTEX_TOLERANCE,
+    NoSoundCage,
+    check_count,
+)
 from prepare.cage.component_cages import (
     MIN_COMPONENT,
     Component,
+    ComponentCage,
     Grid,
     check_mesher,
     cluster_grids,
@@ -50,6 +58,9 @@ VERSION = 10  # of the pipeline's results; raise it when the same splat would gi
 
 PLAUSIBLE_SIZE = (0.05, 0.6)  # [m] largest extent of objects for the hand; beyond, units are arbitrary
 DEFAULT_SIZE = 0.25  # [m]
+
+# Of a cage from elsewhere: flatter tets are noise in float32, and a cage that holds less is not one of this splat
+GIVEN_ANGLE_MIN, GIVEN_INSIDE_MIN = 2.0, 0.8  # [degrees], of the opaque Gaussians
 
 STEPS = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
 Made = TypeVar("Made")
@@ -105,6 +116,7 @@ def prepare(
     gaussians: Gaussians,
     options: Options | None = None,
     *,
+    given: Cage | None = None,
     progress: Progress = no_progress,
     look: Callable[[ComponentSolid], None] | None = None,
     say: Callable[[str], None] | None = None,
@@ -112,6 +124,7 @@ def prepare(
 ) -> Asset:
     """Make a splat simulatable: cage, embedding, distance grid, material. Taichi must be running.
 
+    given        a cage in the splat's coordinates to take instead of making one
     look         called for each component with the solid its cage was made from
     say          told why a mesher was replaced
     checkpoints  results of finished steps of a run that was stopped
@@ -120,22 +133,28 @@ def prepare(
     """
     begin = time.perf_counter()
     options, kept = options or Options(), checkpoints or Checkpoints()
+    if given is not None:
+        options = replace(options, vertices=int(np.clip(len(given.vertices), *VERTEX_RANGE)), pieces=False)
     options.check()
     oriented = kept.step("orient", partial(clean_and_orient, gaussians, options, progress))
     g, found = gaussians_of(oriented)
     components = fill_components(g, oriented["cluster"], options, progress, kept)
-    cages = component_cages(
-        components,
-        g,
-        options.vertices,
-        options.mesher,
-        partial(progress, "cage"),
-        adaptive=options.adaptive,
-        say=say,
-        checkpoint=kept.step,
-    )
+    if given is not None:
+        x = given.vertices.astype(np.float64) @ np.array(found["rotation"]).T
+        cages = [ComponentCage(components[0], Cage(x, given.tets, given.surface), "given")]
+    else:
+        cages = component_cages(
+            components,
+            g,
+            options.vertices,
+            options.mesher,
+            partial(progress, "cage"),
+            adaptive=options.adaptive,
+            say=say,
+            checkpoint=kept.step,
+        )
     used = " and ".join(sorted({c.mesher for c in cages}))
-    if used != options.mesher and say and "cage" in kept.resumed:
+    if given is None and used != options.mesher and say and "cage" in kept.resumed:
         say(f"{options.mesher} failed in the run before; the cage was made by {used} instead")
 
     counts = found["counts"]
@@ -159,11 +178,11 @@ def prepare(
     progress("contact", 0.0)
     solids = [solid_of(c.component, foot, factor) for c in cages]
     grid = contact_grid([s.distance for s in solids])
-    figures = measure(cage, g.means[surface_mask(g) & ~flap], options.vertices)
+    figures = measure(cage, g.means[surface_mask(g) & ~flap], options.vertices, given=given is not None)
     figures |= {
         "mesher": used,
         "pieces": len(cages),
-        "cells": "adaptive" if options.adaptive and used != "tetgen" else "uniform",
+        "cells": "given" if given is not None else "adaptive" if options.adaptive and used != "tetgen" else "uniform",
         "filled": sum(volume_of(c.component.phi) * (c.component.grid.spacing * factor) ** 3 for c in cages),  # [m^3]
         "seconds": round(time.perf_counter() - begin, 2),
     }
@@ -211,7 +230,8 @@ def body_size(longest: float, scale: float | None) -> float:
 
 
 def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress) -> dict[str, np.ndarray]:
-    """The object's own Gaussians rotated to +y up, as arrays; `cluster` is the connected component of each (N,)."""
+    """The object's own Gaussians rotated to +y up, as arrays; `cluster` is the connected component of each (N,), and
+    `rotation` (3, 3) what has turned them."""
     progress("clean", 0.0)
     if options.pieces:
         g, cluster, counts = clean_components(gaussians)
@@ -221,7 +241,8 @@ def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress)
     progress("orient", 0.0)
     chances = up_probabilities(g) if options.up is None else {options.up: 1.0}
     up, sure = most_likely(chances)
-    g, front = g.transformed(rotation_to_up(up)), {}
+    upright = rotation_to_up(up)
+    g, front = g.transformed(upright), {}
     angle = -np.radians(options.front or 0.0)
     if options.front is None:
         angle, front_sure = front_of(g)
@@ -231,8 +252,10 @@ def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress)
             "turned": front_sure >= FRONT_SURE,
         }
         angle = angle if front["turned"] else 0.0
-    g = g.transformed(turned_about_up(-angle))
-    return arrays_of(g, counts=counts, up=up, sure=sure, chances=chances, front=front) | {"cluster": cluster}
+    turned = turned_about_up(-angle)
+    g, rotation = g.transformed(turned), (turned @ upright).tolist()
+    about = {"counts": counts, "up": up, "sure": sure, "chances": chances, "front": front, "rotation": rotation}
+    return arrays_of(g, **about) | {"cluster": cluster}
 
 
 def fill_components(
@@ -273,21 +296,24 @@ def solid_of(component: Component, foot: np.ndarray, factor: float) -> Component
     return ComponentSolid(cells["shell"], cells["solid"], distance)
 
 
-def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
+def measure(cage: Cage, surface_points: np.ndarray, wanted: int, *, given: bool = False) -> dict:
     """Figures of the cage. Raises NoSoundCage, naming the figure, if it must not be simulated.
 
     surface_points  centres of the opaque Gaussians that the cage should hold (N, 3) [m]
+    given           it was not made here: it may be coarser, with any number of vertices
     """
+    least_angle, least_inside = (GIVEN_ANGLE_MIN, GIVEN_INSIDE_MIN) if given else (ANGLE_MIN, INSIDE_MIN)
     volume, count = tet_volumes(cage.vertices, cage.tets), len(cage.vertices)
     angle = round(smallest_angle(cage.vertices, cage.tets), 2)
     inside = round(fraction_inside(cage.vertices, cage.tets, surface_points), 5)
     if not (volume > 0).all():
         raise NoSoundCage(f"the cage is not sound: {int((volume <= 0).sum())} tets have no positive volume")
-    if angle < ANGLE_MIN:
+    if angle < least_angle:
         raise NoSoundCage(f"the cage is not sound: its smallest dihedral angle is {angle} degrees")
-    if inside < INSIDE_MIN:
-        raise NoSoundCage(f"only {inside:.2%} of the opaque Gaussians are inside the cage of {wanted} vertices")
-    if abs(count - wanted) > VERTEX_TOLERANCE * wanted:
+    if inside < least_inside:
+        hint = ": does it have the splat's coordinates?" if given else f" of {wanted} vertices"
+        raise NoSoundCage(f"only {inside:.2%} of the opaque Gaussians are inside the cage{hint}")
+    if not given and abs(count - wanted) > VERTEX_TOLERANCE * wanted:
         raise NoSoundCage(f"the cage has {count} vertices, {wanted} were asked for")
     tets = len(cage.tets)
     return {"vertices": count, "tets": tets, "min_dihedral": angle, "inside": inside, "volume": float(volume.sum())}

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from assets.asset import Asset
+from core.distance_grid import marching_cubes
 from core.point_location import TetLocator
 from core.report import Section, Table, html_page
 from core.tetmesh import enclosed_volume, face_components, tet_volumes
@@ -19,7 +20,6 @@ from prepare.cage.level_set import (
     areas,
     distance_statistics,
     distance_to_surface,
-    marching_cubes,
     surface_samples,
 )
 from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices

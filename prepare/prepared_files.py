@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.asset import Asset
+from assets.asset import Asset, Cage
 from assets.camera_file import cameras_of_splat, read_poses
 from assets.file_access import atomic_write_all
 from assets.formats.ply import write_ply
@@ -48,6 +49,7 @@ def prepare_file(
     vertices: Sequence[int] = (),
     rig: str | Path | None = None,
     landmarks: str | Path | None = None,
+    cage: Cage | None = None,
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
     page: bool = False,
@@ -59,6 +61,7 @@ def prepare_file(
     vertices  numbers to try in turn instead of the options', until there is a sound cage
     rig       a .glb whose motion the body takes over
     landmarks JSON file of the positions of the body's joints
+    cage      in the splat's coordinates, to take instead of making one
     page      also write the report beside it: ASSET.report.html and ASSET.report.json
     quantised store it small, with the losses of assets/quantisation.py
     Raises BadInput, naming the file.
@@ -68,7 +71,7 @@ def prepare_file(
     gaussians = read_gaussians(path, report) if source is None or source.gaussians is None else source.gaussians
     counts = vertices or (options.vertices,)
     with _progress(path, STEPS if source is None else (*STEPS, "rig"), progress) as shown:
-        make = partial(_body, path, gaussians, options, source, shown)
+        make = partial(_body, path, gaussians, options, source, cage, shown)
         asset, solids, notes, checkpoints = of_first_sound_cage(counts, make, report)
     if checkpoints.resumed:
         notes.append(f"resumed after the step {checkpoints.resumed[-1]} of an earlier run")
@@ -127,14 +130,21 @@ def _source_of(path: Path, options: Options, rig, landmarks) -> tuple[RigSource 
 
 
 def _body(
-    path: Path, gaussians: Gaussians, options: Options, source: RigSource | None, progress: Progress, vertices: int
+    path: Path,
+    gaussians: Gaussians,
+    options: Options,
+    source: RigSource | None,
+    cage: Cage | None,
+    progress: Progress,
+    vertices: int,
 ) -> tuple[Asset, list[ComponentSolid], list[str], Checkpoints]:
     """The body with so many vertices, standing or in motion; the solids of its components, notes, and what is kept
     until it is written. Raises BadInput."""
     options = replace(options, vertices=vertices)
-    checkpoints = Checkpoints(path, asdict(options), VERSION)
+    key = {} if cage is None else {"cage": [hash_of(cage.vertices), hash_of(cage.tets)]}
+    checkpoints = Checkpoints(path, asdict(options) | key, VERSION)
     try:
-        asset, solids, notes = _prepared_or_anew(gaussians, options, progress, checkpoints)
+        asset, solids, notes = _prepared_or_anew(gaussians, options, cage, progress, checkpoints)
         if source is not None:
             progress("rig", 0.0)
             asset = source.animate(asset, solids[0].distance)
@@ -160,14 +170,18 @@ def device_vertices(*, animated: bool) -> tuple[int, ...]:
     return ANIMATED_VERTICES if animated else DEVICE_VERTICES[running_arch()]
 
 
-def _prepared_or_anew(gaussians, options: Options, progress: Progress, checkpoints: Checkpoints):
+def hash_of(values: np.ndarray) -> str:
+    """SHA-256 of an array's content."""
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
+def _prepared_or_anew(gaussians, options: Options, cage: Cage | None, progress: Progress, checkpoints: Checkpoints):
     """Asset, solids of its components and notes of `prepare`; once more from the start if checkpoints fail it."""
 
     def attempt():
         solids, notes = [], []
-        asset = prepare(
-            gaussians, options, progress=progress, look=solids.append, say=notes.append, checkpoints=checkpoints
-        )
+        seen = {"look": solids.append, "say": notes.append}
+        asset = prepare(gaussians, options, given=cage, progress=progress, checkpoints=checkpoints, **seen)
         return asset, solids, notes
 
     try:
@@ -183,7 +197,8 @@ def summary(provenance: dict) -> list[str]:
     """Lines that describe a prepared body, from its provenance."""
     counts, figures, options = provenance["counts"], provenance["figures"], provenance["options"]
     left_out = ", ".join(f"{counts[k]} {k}" for k in ("transparent", "huge", "apart", "stray") if counts[k])
-    animation = provenance.get("rig")
+    animation, cells = provenance.get("rig"), figures["cells"]
+    cells = " as given" if cells == "given" else f" in {cells} cells"
     apart, lines = counts["apart"] + counts["stray"], []
     if figures["pieces"] > 1:
         lines.append(f"{figures['pieces']} pieces, each with a cage of its own and a body of its own in a scene")
@@ -200,7 +215,7 @@ def summary(provenance: dict) -> list[str]:
         f"up {_up_axis(provenance)}, largest extent {_size(provenance)}",
         *_front(provenance.get("front")),
         *([f"turned by {provenance['stood_up']:g} degrees, to stand as it rests"] if "stood_up" in provenance else ()),
-        f"cage: {figures['vertices']} vertices, {figures['tets']} tets in {figures['cells']} cells, smallest angle "
+        f"cage: {figures['vertices']} vertices, {figures['tets']} tets{cells}, smallest angle "
         f"{figures['min_dihedral']:.1f} degrees, volume {1e6 * figures['volume']:.4g} cm^3",
         f"inside the cage: {figures['inside']:.2%} of the opaque Gaussians; {figures['seconds']:.1f} s",
         *([standing.described(provenance["material"])] if "material" in provenance else ()),

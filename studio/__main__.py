@@ -16,7 +16,7 @@ from pathlib import Path
 from assets.file_access import make_folder
 from assets.library import SHIPPED_FOLDER, paper_folder
 from core.errors import BadInput
-from core.program import check_open3d
+from core.program import check_package
 from core.runtime import start_taichi
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -68,7 +68,7 @@ def picture_size(text: str) -> tuple[int, int]:
 
 def run(args: argparse.Namespace) -> None:
     """Build the assets `args.names` (all, if there are none) into `args.out`, or a capture. Raises BadInput."""
-    check_open3d("studio", "studio/requirements.txt")
+    check_package("studio", "open3d", "studio/requirements.txt")
     if args.capture is not None:
         build_capture(args)
         return

@@ -7,7 +7,7 @@ import contextlib
 import numpy as np
 
 from assets.asset import Asset, Cage
-from core.distance_grid import DistanceGrid
+from core.distance_grid import DistanceGrid, marching_cubes
 from core.material import Material
 from core.tetmesh import box_mesh
 from studio.detail import Detail
@@ -95,8 +95,6 @@ def solid_grid(solid: Solid, low, high, vertices: int) -> DistanceGrid:
 
 def solid_mesh(grid: DistanceGrid) -> Mesh:
     """Surface of a solid."""
-    from prepare.cage.level_set import marching_cubes
-
     return Mesh(*marching_cubes(grid))
 
 

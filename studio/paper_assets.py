@@ -11,7 +11,7 @@ from assets.file_access import make_folder
 from assets.hdf5 import open_hdf5
 from assets.library import find_asset, search_first
 from core.errors import BadInput
-from core.program import check_open3d
+from core.program import check_package
 from scenes import registry
 from scenes.paper_demos import PaperDemo
 from scenes.scene import Scene
@@ -67,7 +67,7 @@ def build_demo(demo: PaperDemo, folder: Path, report: Callable[[str], None], *, 
     from assets.asset import Asset
     from studio.catalogue import MODELS, build_model
 
-    check_open3d("studio", "studio/requirements.txt")
+    check_package("studio", "open3d", "studio/requirements.txt")
     search_first(None)
     left = parts_of(registry.load(demo.scene, **demo.options))
     for part in left:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.distance_grid import DistanceGrid
+from core.distance_grid import DistanceGrid, marching_cubes
 from core.mesh_sampling import Mesh
 from studio.creatures.coat import box_of
 from studio.creatures.creature import Creature, look_at_surface, surface_of
@@ -43,8 +43,6 @@ def creature_surfaces(creature: Creature, nodes: int) -> list[tuple[Surface, np.
 
 def _mesh(distance, low, high, nodes: int) -> Mesh | None:
     """The surface of a distance field within a box; None where a part is thinner than the grid."""
-    from prepare.cage.level_set import marching_cubes
-
     low, high = np.asarray(low, float) - MARGIN, np.asarray(high, float) + MARGIN
     spacing = float((high - low).max()) / (nodes - 1)
     blocks = np.ceil(((high - low) / spacing + 1) / BLOCK).astype(int)

@@ -131,6 +131,7 @@ class BodyRegistry:
                 sh = fitted_harmonics(piece.part.gaussians, device.splats.coefficients)
                 opacity = piece.part.gaussians.opacities.astype(np.float32)
                 self._looks.append((opacity, sh, np.ones_like(opacity)))
+                device.parts.append(piece.part)
                 device.gaussian_counts.append(len(piece.part.gaussians))
                 for animation in piece.targets(0):
                     self.animated[len(self.source_models)] = animation

@@ -140,16 +140,22 @@ def cage_fields(body: MovingBody) -> tuple[dict[str, np.ndarray], dict[str, np.n
     """
     model, x, shape = body.model, body.x, body.model.shape
     rest, tets = shape.vertices, shape.solid
-    weights = model.mass
-    centre, c = np.average(x, axis=0, weights=weights), np.average(rest, axis=0, weights=weights)
-    R = best_fit_rotation(((x - centre) * weights[:, None]).T @ (rest - c))
+    R, t = fitted_pose(body)
     ratio = tet_volumes(x, tets) / tet_volumes(rest, tets)
     stress = np.zeros(len(tets))
     if not shape.rigid:
         edges = np.swapaxes(x[tets][:, 1:] - x[tets][:, :1], 1, 2)
         stress = von_mises(edges @ shape.inverse, *lame(model.material))
-    points = {"displacement": x - ((rest - c) @ R.T + centre), "velocity": body.v}
+    points = {"displacement": x - (rest @ R.T + t), "velocity": body.v}
     return points, {"body": np.full(len(tets), body.index), "volume_ratio": ratio, "von_mises_stress": stress}
+
+
+def fitted_pose(body: MovingBody) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation R (3, 3) and t (3,) [m] with which R rest + t fits the body's vertices best, weighted by mass."""
+    x, rest, weights = body.x, body.model.shape.vertices, body.model.mass
+    centre, c = np.average(x, axis=0, weights=weights), np.average(rest, axis=0, weights=weights)
+    R = best_fit_rotation(((x - centre) * weights[:, None]).T @ (rest - c))
+    return R, centre - R @ c
 
 
 def von_mises(F: np.ndarray, mu: float, lam: float) -> np.ndarray:

@@ -19,7 +19,6 @@ from assets.gaussians import Gaussians
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
-from core.tetmesh import enclosed_volume
 
 DENSE = 0.5  # summed opacity; the visible surface is about where half of the light is absorbed
 BLUR = 0.5  # cells; standard deviation added to each Gaussian, so that none falls between the nodes
@@ -209,24 +208,6 @@ def contact_grid(shapes: list[DistanceGrid]) -> DistanceGrid:
     points = start + step * np.moveaxis(np.indices(nodes), 0, -1)
     values = np.min([shape.sample_extended(points) for shape in shapes], axis=0)
     return DistanceGrid(values.astype(np.float16), start, float(step))
-
-
-def marching_cubes(distance: DistanceGrid, level: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) [m] float64 and triangles (F, 3) int32, counter-clockwise from outside, where distance = level.
-
-    Raises BadInput where there is no such surface. scikit-image's version of Lewiner's: the surface is closed.
-    """
-    from skimage.measure import marching_cubes as lewiner
-
-    phi = distance.values
-    padded = np.pad(phi, 1, constant_values=max(float(phi.max()), level + 1.0))  # closed at the grid's border, too
-    if not float(phi.min()) < level:
-        raise BadInput("the level set has no surface")
-    vertices, faces, _, _ = lewiner(padded, level, gradient_direction="ascent", allow_degenerate=False)
-    vertices = np.asarray(distance.origin, np.float64) + distance.spacing * (vertices.astype(np.float64) - 1)
-    if enclosed_volume(vertices, faces) < 0:
-        faces = faces[:, ::-1]
-    return vertices, np.ascontiguousarray(faces, np.int32)
 
 
 def areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -17,14 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from assets.asset import Cage
-from core.distance_grid import DistanceGrid
+from core.distance_grid import DistanceGrid, marching_cubes
 from core.errors import BadInput
-from core.program import check_open3d, open3d
-from core.tetmesh import boundary_surface, face_components, positively_oriented, tet_volumes
+from core.program import check_package, open3d
+from prepare.cage.cage_file import checked_cage
 from prepare.cage.cage_generation import EXACT_VERTICES, Stuffed, check_count, fault, fitted
 from prepare.cage.embedding_hosts import fraction_inside
-from prepare.cage.level_set import areas, marching_cubes, volume_of
-from prepare.cage.mesh_quality import non_manifold_vertices
+from prepare.cage.level_set import areas, volume_of
 
 WORKER = Path(__file__).with_name("tetgen_worker.py")
 PYTHON = "VRGS_TETGEN_PYTHON"  # environment variable that names the interpreter with tetgen
@@ -49,7 +48,7 @@ def interpreter() -> str:
 
 def check_installed() -> None:
     """Raise BadInput, with a remedy, unless TetGen can be run."""
-    check_open3d("--mesher tetgen")
+    check_package("--mesher tetgen", "open3d", "requirements-tetgen.txt")
     probe = "import sys, importlib.util; sys.exit(importlib.util.find_spec('tetgen') is None)"
     try:
         missing = subprocess.run([interpreter(), "-I", "-c", probe], capture_output=True, timeout=60).returncode != 0
@@ -102,25 +101,13 @@ def run_tetgen(vertices: np.ndarray, faces: np.ndarray, maxvolume: float, *, lim
             said = next((line.strip() for line in reversed(lines) if line.strip()), f"status {done.returncode}")
             raise MeshFailed(f"TetGen gave up ({said[:120]})")
         with np.load(target, allow_pickle=False) as found:
-            return checked_cage(found["vertices"], found["tets"])
-
-
-def checked_cage(vertices: np.ndarray, tets: np.ndarray) -> Cage:
-    """Cage of finite vertices and tets of positive volume in one closed component. Raises MeshFailed."""
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or tets.ndim != 2 or tets.shape[1] < 4 or not len(tets):
-        raise MeshFailed("TetGen returned no tets")
-    tets = tets[:, :4]
-    if tets.min() < 0 or tets.max() >= len(vertices) or not np.isfinite(vertices).all():
-        raise MeshFailed("TetGen returned indices or positions out of range")
-    used, tets = np.unique(tets, return_inverse=True)
-    vertices = vertices[used].astype(np.float32)
-    tets = positively_oriented(vertices, tets.reshape(-1, 4).astype(np.int32))
-    if not (tet_volumes(vertices, tets) > 0).all():
-        raise MeshFailed("TetGen returned tets without volume")
-    surface = boundary_surface(tets)
-    if len(non_manifold_vertices(surface)) or face_components(tets).max() > 0:
-        raise MeshFailed("TetGen's mesh is not one closed manifold")
-    return Cage(vertices, tets, surface)
+            vertices, tets = found["vertices"], found["tets"]
+            if vertices.ndim != 2 or vertices.shape[1] != 3 or tets.ndim != 2 or tets.shape[1] < 4:
+                raise MeshFailed("it returned no tets")
+            try:
+                return checked_cage(vertices, tets[:, :4])
+            except ValueError as e:
+                raise MeshFailed(f"its mesh is no cage: {e}") from e
 
 
 def tetgen_cage(

@@ -392,7 +392,7 @@ class LineOfSight:
     """Lines of sight among static shapes, and the height of what lies below a point (on the host)."""
 
     def __init__(self, shapes: Sequence[Shape]):
-        self._shapes = list(shapes)
+        self.shapes = list(shapes)
         self._low, self._high = np.array([bounding_box(s) for s in shapes]).reshape(-1, 2, 3).swapaxes(0, 1)
 
     def hides(self, origin, direction, distance: float) -> bool:
@@ -423,7 +423,7 @@ class LineOfSight:
         low, high = points.min(0), points.max(0)
         inside = np.zeros(len(points), bool)
         for k in np.flatnonzero(((self._low <= high) & (self._high >= low)).all(1)):
-            inside |= within(self._shapes[k], points)
+            inside |= within(self.shapes[k], points)
         return inside
 
 

@@ -62,6 +62,7 @@ REFUSED = [  # for each condition a command line, and what is said about the opt
     ("prepare a --out b.h5 --cell 1", "--cell belongs to --static"),
     ("prepare a --out b.h5 --static --pieces", "--pieces belongs to bodies"),
     ("prepare a --out b.h5 --static --front 90", "with --static nothing is simulated"),
+    ("prepare a --cage c.usd --out b.h5 --vertices 99", "--vertices is not for --cage"),
     ("prepare a --cache --force", "--force belongs to --out"),
     ("prepare a --cache --static --scale 1", "--scale belongs to --out"),
     ("bench frame --test-every 4", "--test-every belongs to bench train"),

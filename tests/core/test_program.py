@@ -107,6 +107,19 @@ def test_a_user_without_a_home_gets_a_temporary_one_that_nobody_else_writes_to(t
         temporary_folder()
 
 
+@pytest.mark.parametrize(
+    "words", [["export", "--out", "toy.usdz"], ["prepare", "cat.ply", "--cage", "cat.usda", "--out", "cat.h5"]]
+)
+def test_without_openusd_its_installation_is_told_in_a_line(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.setattr(program, "find_spec", lambda name: None)
+    monkeypatch.chdir(tmp_path)
+    for name in ("cat.ply", "cat.usda"):
+        (tmp_path / name).write_text("anything")
+    assert vrgs.main(words) == 2
+    said = capsys.readouterr().err
+    assert said.endswith("needs the package usd-core: pip install -r requirements-usd.txt\n") and said.count("\n") == 1
+
+
 def test_a_play_that_is_interrupted_still_writes_its_results(monkeypatch, capsys):
     """In a headset, Ctrl-C is the only way to end."""
     done = []

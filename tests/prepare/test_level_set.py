@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial import cKDTree
 
 from core.camera import look_at, perspective
-from core.distance_grid import DistanceGrid
+from core.distance_grid import DistanceGrid, marching_cubes
 from core.errors import BadInput
 from core.tetmesh import enclosed_volume
 from prepare.cage.level_set import (
@@ -14,7 +14,6 @@ from prepare.cage.level_set import (
     contact_grid,
     distance_to,
     distance_to_surface,
-    marching_cubes,
 )
 from prepare.cage.mesh_quality import euler_characteristic, non_manifold_vertices
 from prepare.report_pictures import Canvas, cubes

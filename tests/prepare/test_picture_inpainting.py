@@ -102,7 +102,7 @@ def test_a_network_that_crashes_opencv_is_refused(tmp_path):
     path.write_bytes(path.read_bytes().replace(b"\x03Add", b"\x03\xffdd"))
     with pytest.raises(BadInput, match=r"broken\.onnx: OpenCV cannot read it as an ONNX network"):
         LamaNetwork(path)
-    network._net._process.kill()
+    network._net._child.process.kill()
     for _ in range(2):
         with pytest.raises(BadInput, match=r"does not run on inputs `image` and `mask` of 512 px \(OpenCV crashed\)"):
             network(*holed())

@@ -55,8 +55,8 @@ class ExportOptions(SceneOptions):
 
     out: Path = cli.option(
         "FILE|DIR",
-        f"file of the last frame (.{', .'.join(get_args(Kind))}, {', '.join(USD)}), folder of a sequence, or page of the "
-        "play (.html)",
+        f"file of the last frame (.{', .'.join(get_args(Kind))}, {', '.join(USD)}), folder of a sequence, or page of "
+        "the play (.html)",
         cli.REQUIRED,
     )
     every: cli.Count | None = cli.option(

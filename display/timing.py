@@ -16,7 +16,7 @@ from core.runtime import watch_compilation
 
 HISTORY_LENGTH = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
 RECENT_SAMPLES = 60  # samples behind the panel's numbers: steady, and still current
-FIRST_START = "the first time on this machine about half a minute"  # 20 to 35 s of computing, by scene
+FIRST_START = "the first time on this machine about a minute"  # 20 to 80 s, by scene and device
 SHOW_INTERVAL = 0.2  # [s] between two lines on the display, and on a terminal, which renews its line
 LOG_INTERVAL = 5.0  # [s] between two lines in a file
 

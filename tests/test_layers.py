@@ -27,10 +27,10 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_550, "assets": 5_050, "scenes": 2_250, "sim": 10_550, "render": 3_400, "prepare": 13_000,
-    "display": 13_150, "commands": 3_950, "bench": 3_200, "installer": 200, "tests": 33_500,
+    "core": 2_600, "assets": 5_050, "scenes": 2_250, "sim": 10_550, "render": 3_400, "prepare": 13_150,
+    "display": 13_750, "commands": 4_000, "bench": 3_200, "installer": 200, "tests": 34_100,
 }  # fmt: skip
-MOST_FILES = 297  # of the product
+MOST_FILES = 300  # of the product
 
 
 def product_files() -> list[Path]:

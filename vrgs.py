@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""The command line and the frame loop."""
+"""The command line and the frame loop; for a Python program, what docs/python.md says."""
 
 from __future__ import annotations
 
@@ -50,11 +50,21 @@ def repeat_interrupt(report: Callable, unraisable) -> None:
         report(unraisable)
 
 
+def __getattr__(name: str):
+    """What `import vrgs` gives a program; imported at its first use."""
+    if not name.startswith("_"):
+        from commands import simulation
+
+        if name in simulation.__all__:
+            return getattr(simulation, name)
+    raise AttributeError(f"module 'vrgs' has no attribute {name!r}")
+
+
 def run(argv: list[str]) -> int:
     """Run one command. What it imports is imported here, where an interrupt is told in a line."""
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # before anything imports Taichi
     from core.errors import BadInput, Cancelled
-    from core.program import as_called, find_home
+    from core.program import as_called, check_backend, find_home
 
     try:
         find_home()
@@ -65,16 +75,17 @@ def run(argv: list[str]) -> int:
         except ModuleNotFoundError as e:
             print(f"vrgs: {sys.executable} has no package {e.name}: {START}", file=sys.stderr)
             return 2
+        check_backend()
         return (command or play)(options) or 0
     except BadInput as e:
         print(f"vrgs: {as_called(' '.join(str(e).split()))}", file=sys.stderr)
         return 2
     except (MemoryError, RuntimeError) as e:
-        from core.runtime import is_out_of_memory
+        from core.runtime import failure_line
 
-        if not is_out_of_memory(e):
+        if not (line := failure_line(e)):
             raise
-        print("vrgs: not enough memory; try a smaller picture or fewer Gaussians", file=sys.stderr)
+        print(f"vrgs: {as_called(line)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # `vrgs.py scenes | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -94,21 +105,9 @@ def play(options: PlayOptions) -> None:
     from scenes.registry import faults_told
 
     with faults_told(options.scene), open_session(options) as session:
-        display, film, recording = session.display, session.film, session.recording
         try:
             for frame in session.frames():  # time, cameras, hands, commands
-                world = session.world  # the user may open another scene
-                world.step(frame)  # simulate, deform, shade, draw
-                display.present(world)
-                if film:
-                    film.add(world, frame.time)
-                if recording:
-                    recording.after(world)
-                if session.study:
-                    session.study.after(frame, world)
-                session.keeper.after(frame, world)
-                if session.sound:
-                    session.sound.after(frame, world)
+                session.step(frame)  # simulate, deform, shade, draw; show, film, record
         except KeyboardInterrupt:  # in a headset, the only way to end
             session.report()
             raise

@@ -13,7 +13,8 @@ from time import perf_counter
 import numpy as np
 
 from core.camera import Camera, look_at
-from core.fields import destroy_fields, keep_compiled_kernels
+from core.fields import destroy_fields
+from core.runtime import keep_compiled_kernels
 from display.protocol import Frame
 from display.timing import Timings
 from display.world import World

@@ -31,9 +31,9 @@ from bench.bar_figures import (
 )
 from bench.inpainting import inpainting_section
 from core.camera import look_at, perspective
-from core.fields import destroy_fields, keep_compiled_kernels
+from core.fields import destroy_fields
 from core.report import Section, Table, html_page
-from core.runtime import running_arch
+from core.runtime import keep_compiled_kernels, running_arch
 from core.typed import to_plain
 from display.picture import pixels_of
 from display.protocol import Frame

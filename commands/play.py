@@ -41,7 +41,7 @@ def open_session(options: PlayOptions) -> Iterator[Session]:
         options.scene = "sandbox"
     preferences = Preferences() if options.headless else Preferences.of_user()
     replay, state = open_replay(options), open_state(options)
-    scene = load_scene(options, replay)
+    scene = options.driven or load_scene(options, replay)
     begin = state.settings.time if state else 0.0
     with (
         open_sound(options, preferences) as sound,
@@ -53,7 +53,7 @@ def open_session(options: PlayOptions) -> Iterator[Session]:
     ):
         start_taichi(options.arch, options.seed)
         world = {"interaction": options.interaction, "embedding": options.embedding, "sort": options.sort}
-        world |= {"depth": bool(options.xr and display.depth), "fingers": bool(options.xr)}
+        world |= {"depth": bool(options.xr and display.depth), "fingers": bool(options.xr or options.driven)}
         if replay:
             world = replay.world_options(world)
         from display.xr.avatar import scripted_skins
@@ -260,9 +260,16 @@ def open_headless(options: PlayOptions, scene: Scene, replay: Replay | None, beg
 
     frames = options.frames or max(1, round(FPS * ((scene.game.duration if scene.game else SECONDS) - begin)))
     frames = min(options.frames or len(replay), len(replay)) if replay else frames
+    if options.driven:
+        frames = None
     width, height = options.size or SIZE
     return Headless(
-        scene, width=width, height=height, frames=frames, views=2 if options.stereo else 1, scripted=replay is None
+        scene,
+        width=width,
+        height=height,
+        frames=frames,
+        views=2 if options.stereo else 1,
+        scripted=replay is None and not options.driven,
     )
 
 
@@ -272,5 +279,6 @@ def open_film(options: PlayOptions, display: Display):
         return contextlib.nullcontext()
     from display.headless.video import FilmWriter
 
-    seconds = display.count / FPS if options.headless and not options.replay else 0.0
+    planned = options.headless and not (options.replay or options.driven)
+    seconds = display.count / FPS if planned else 0.0
     return FilmWriter(options.record, *display.size, views=2 if options.stereo else 1, seconds=seconds)

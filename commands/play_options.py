@@ -71,7 +71,7 @@ class DisplayOptions(cli.Options):
 
 @dataclass(kw_only=True)
 class PlayOptions(SceneOptions, DisplayOptions):
-    """All options of playing."""
+    """All options of playing. `driven`: the Scene that a Python program plays with hands of its own."""
 
     EXAMPLES = (
         "                                       play the ring toss in a window",
@@ -106,3 +106,5 @@ class PlayOptions(SceneOptions, DisplayOptions):
         cli.Condition(("--participant",), lambda o: o.study, "belongs to --study OUT.h5"),
         PREPARATION,
     )
+
+    driven: Any = None

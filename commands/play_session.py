@@ -103,6 +103,21 @@ class Session:
             yield frame if self.recording is None else self.recording.note(frame)
             self._count += 1
 
+    def step(self, frame: Frame) -> None:
+        """Simulate, deform, shade and draw a frame, show it, and add it to all outputs."""
+        world = self.world  # the user may open another scene
+        world.step(frame)
+        self.display.present(world)
+        if self.film:
+            self.film.add(world, frame.time)
+        if self.recording:
+            self.recording.after(world)
+        if self.study:
+            self.study.after(frame, world)
+        self.keeper.after(frame, world)
+        if self.sound:
+            self.sound.after(frame, world)
+
     def report(self) -> None:
         """Print and write the results of the play."""
         options, world = self.options, self.world

@@ -1,15 +1,18 @@
 """Device memory: groups of Taichi fields, their capacities, and transfers to and from the host."""
 
-from collections.abc import Iterator
+import ctypes
+import math
+from collections.abc import Callable
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import taichi as ti
-from taichi._snode.snode_tree import SNodeTree
-from taichi.lang import impl
+
+from core.runtime import address_of, program
 
 TREES_MAX = 500  # Taichi 1.7.4 has room for 512, and crashes with more; some of its own
-_trees: list[SNodeTree] = []  # of all groups: a tree that is not destroyed outlives its group
+_trees: list = []  # of all groups: a tree that is not destroyed outlives its group
 FIELD_OWNERS = ("core", "sim", "render")  # packages whose objects hold fields, see `destroy_fields`
 
 
@@ -31,7 +34,7 @@ class FieldGroup:
     def __init__(self):
         self._builder = ti.FieldsBuilder()
         self._records = None
-        self._tree: SNodeTree | None = None
+        self._tree = None
 
     def scalar(self, *shape: int, dtype=ti.f32):
         """A scalar field of this shape; no shape: a single value."""
@@ -56,8 +59,7 @@ class FieldGroup:
 
     def build(self) -> None:
         """Allocate the declared fields, all zero. Raises RuntimeError if there are too many trees."""
-        program = impl.get_runtime().prog
-        _trees[:] = [tree for tree in _trees if not tree.destroyed and tree.prog is program]
+        _trees[:] = [tree for tree in _trees if not tree.destroyed and tree.prog is program()]
         if len(_trees) >= TREES_MAX:
             raise RuntimeError(
                 f"{TREES_MAX} groups of fields are alive: destroy() solvers and renderers not needed more"
@@ -87,41 +89,20 @@ class FieldGroup:
 
 def destroy_fields(owner) -> None:
     """Free all field trees that an object, and the objects it is made of, have placed, each once."""
-    found, seen, todo = [], set(), [owner]
+    seen, todo = set(), [owner]
     while todo:
         at = todo.pop()
         if id(at) in seen:
             continue
         seen.add(id(at))
-        if isinstance(at, SNodeTree):
-            found.append(at)
+        if isinstance(at, FieldGroup):
+            at.destroy()
         elif isinstance(at, dict):
             todo += at.values()
         elif isinstance(at, (list, tuple)):
             todo += at
         elif type(at).__module__.split(".")[0] in FIELD_OWNERS:
             todo += vars(at).values()
-    for tree in found:
-        if not tree.destroyed:
-            tree.destroy()
-
-
-@contextmanager
-def keep_compiled_kernels() -> Iterator[None]:
-    """While active, destroying field trees does not discard compiled kernels.
-
-    Taichi 1.7.4 discards all kernels of a program when one tree is destroyed, since one of them may use it: then the
-    next frame compiles everything again. A kernel that uses the tree is cached under the fields or the object that it
-    was compiled for, and neither is used again, so that all kernels may stay.
-    """
-    runtime = impl.get_runtime()
-    outermost = "clear_compiled_functions" not in vars(runtime)
-    runtime.clear_compiled_functions = lambda: None  # shadows the method
-    try:
-        yield
-    finally:
-        if outermost:
-            del runtime.clear_compiled_functions
 
 
 @ti.func
@@ -200,3 +181,61 @@ class Upload:
             flat.append(words.view(np.int32))
             begin.append(begin[-1] + len(words))
         self.fill(np.concatenate([*flat, np.zeros(1, np.int32)]), np.array(begin, np.int32))  # no empty arrays
+
+
+@dataclass(frozen=True)
+class DeviceArray:
+    """An array in the memory of a GPU, which torch.as_tensor, cupy.asarray and others take as it is, without a copy.
+
+    `np.asarray` copies it to the host, by `read`.
+    """
+
+    address: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]  # [bytes]
+    dtype: np.dtype
+    read: Callable[[], np.ndarray]
+
+    @property
+    def __cuda_array_interface__(self) -> dict:
+        place = (self.address, False)
+        return {"shape": self.shape, "strides": self.strides, "typestr": self.dtype.str, "data": place, "version": 3}
+
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        return self.read().astype(dtype or self.dtype, copy=False)
+
+
+def view_of(data, begin: int = 0, end: int | None = None) -> np.ndarray | DeviceArray:
+    """The elements begin..end of a dense field, or an ndarray as bytes (..., size of an element), where they are.
+
+    On the CPU a NumPy array, on a GPU a DeviceArray: nothing is copied. It is valid as long as the memory is; do not
+    write to it.
+    """
+    ti.sync()
+    if isinstance(data, ti.Ndarray):
+        dtype, shape, strides = np.dtype(np.uint8), (*data.shape, data.arr.element_size()), ()
+        address = address_of(data)
+    else:
+        dtype = np.dtype(np.int32 if data.dtype == ti.i32 else np.float32)
+        corner = _address(data, 0, 0)
+        strides = tuple(_address(data, *at) - corner for at in ((1, 0), (0, 1))[: len(data.shape)])
+        address, count = corner + begin * strides[0], (data.shape[0] if end is None else end) - begin
+        shape = (count, *data.shape[1:], *((data.n, data.m)[: data.ndim] if hasattr(data, "n") else ()))
+    element = shape[len(strides) :]  # its parts lie side by side
+    strides = (*strides, *(dtype.itemsize * math.prod(element[k + 1 :]) for k in range(len(element))))
+    if ti.cfg.arch == ti.cuda:
+        return DeviceArray(address, shape, strides, dtype, lambda: on_host(data, begin, end))
+    size = sum(stride * (n - 1) for stride, n in zip(strides, shape, strict=True)) + dtype.itemsize
+    return np.ndarray(shape, dtype, (ctypes.c_char * max(size, 0)).from_address(address), strides=strides)
+
+
+def on_host(data, begin: int, end: int | None) -> np.ndarray:
+    """A copy of what `view_of` gives."""
+    values = data.to_numpy()
+    return values.view(np.uint8).reshape(*data.shape, -1) if isinstance(data, ti.Ndarray) else values[begin:end]
+
+
+@ti.kernel
+def _address(field: ti.template(), i: ti.i32, j: ti.i32) -> ti.u64:
+    """Address of an element of a field of one or two axes."""
+    return ti.get_addr(field, ti.static([i, j][: len(field.shape)]))

@@ -18,12 +18,12 @@ ALL = 0xFFFFFFFF  # mask of a warp
 
 def lane_count() -> int:
     """Number of lanes on the device that Taichi runs on."""
-    return WARP if ti.lang.impl.current_cfg().arch == ti.cuda else 1
+    return WARP if ti.cfg.arch == ti.cuda else 1
 
 
 def sharers() -> int:
     """Number of parts in which the threads of the CPU share a loop, at most 8; 1 on a GPU."""
-    cfg = ti.lang.impl.current_cfg()
+    cfg = ti.cfg
     return 1 if cfg.arch == ti.cuda else min(cfg.cpu_max_num_threads, 8)
 
 

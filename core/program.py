@@ -57,6 +57,15 @@ def find_home() -> None:
     os.environ["HOME"] = home if home.startswith("/") and os.path.isdir(home) else str(temporary_folder())
 
 
+def check_backend() -> None:
+    """Raise BadInput for a VRGS_BACKEND (core/runtime.py) that is not there."""
+    wanted = os.environ.get("VRGS_BACKEND") or "taichi"
+    if wanted not in ("taichi", "quadrants"):
+        raise BadInput(f"VRGS_BACKEND={wanted}: it is taichi or quadrants")
+    if wanted == "quadrants" and find_spec("quadrants") is None:
+        raise BadInput("VRGS_BACKEND=quadrants needs that package: pip install -r requirements-quadrants.txt")
+
+
 def temporary_folder() -> Path:
     """A folder of this user's own where no other can be had, the same each time. Raises BadInput.
 

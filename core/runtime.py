@@ -1,5 +1,9 @@
 """The Taichi runtime: choice of the device, time to the first kernel, care of its cache, and cheap kernel methods.
 
+All that reaches into Taichi's inside stands here, and so does what its fork quadrants does otherwise: with
+VRGS_BACKEND=quadrants that is imported under the name taichi (core/__init__.py). Its attributes are bound as Python's
+are, it has no graphs, and its cache has other files.
+
 Killed programs or failing disks may leave the cache of compiled kernels damaged. Taichi 1.7.4 notices damage of a
 kernel's file, but trusts the index `ticache.tcb`: a flipped bit of a length ends this program and each one after it.
 And it never takes up a lock that a killed program has left: from then on every start would compile all kernels anew.
@@ -15,23 +19,29 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import importlib
+import importlib.util
 import os
+import re
 import signal
 import textwrap
 import threading
 import time
+import warnings
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
 from core.errors import BadInput
 from core.program import temporary_folder
 
+QUADRANTS = os.environ.get("VRGS_BACKEND") == "quadrants"
+CACHE_PLACE = f"{'QD' if QUADRANTS else 'TI'}_OFFLINE_CACHE_FILE_PATH"  # variable that names the cache's folder
 # Compiled kernels are kept between runs, in files of this many bytes in all. Taichi's default of 100 MB is less than a
 # few scenes and a preparation compile, and kernels that were pushed out are compiled again, for half a minute.
 KERNEL_CACHE = {"offline_cache": True, "offline_cache_max_size_of_files": 1 << 30}
@@ -39,6 +49,29 @@ KERNEL_CACHE = {"offline_cache": True, "offline_cache_max_size_of_files": 1 << 3
 # time, a solver's persistent kernel with contacts in a seventh, and run as fast (80 frames of the ring toss and of a
 # wooden ring on the CPU: 1.00 times as long; rooms drawn on an H200: 1.00 and 1.01).
 COMPILER_OPTIONS = {**KERNEL_CACHE, "opt_level": 0}
+
+
+class StandIn:
+    """Importer that gives the modules of quadrants to whoever imports those of Taichi."""
+
+    def find_spec(self, name: str, path=None, target=None):
+        """The module of this name."""
+        if name.split(".")[0] == "taichi":
+            return importlib.util.spec_from_loader(name, self, is_package=True)
+
+    def create_module(self, spec) -> ModuleType:
+        """The module in its place."""
+        os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "False")
+        warnings.filterwarnings("ignore", module=r"quadrants\.")  # of names that the next version changes, and of speed
+        module = importlib.import_module(f"quadrants{spec.name.removeprefix('taichi')}")
+        self.own = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Leave it as it is."""
+        module.__spec__ = self.own
+        if module.__name__ == "quadrants.lang.kernel_impl":
+            module.Kernel.compiled_kernels = property(lambda kernel: kernel.materialized_kernels)
 
 
 @contextlib.contextmanager
@@ -65,14 +98,14 @@ def start_taichi(arch: str | None = None, seed: int = 0) -> None:
     from taichi.lang import impl
     from taichi.lang.misc import is_arch_supported
 
-    if impl.get_runtime().prog is not None:
+    if program() is not None:
         return
-    kernels = Path(os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or impl.default_cfg().offline_cache_file_path)
+    kernels = Path(os.environ.get(CACHE_PLACE) or impl.default_cfg().offline_cache_file_path)
     try:
         kernels.mkdir(parents=True, exist_ok=True)
     except OSError:  # Taichi would try it as the process ends, and crash
         kernels = temporary_folder() / "kernels"
-        os.environ["TI_OFFLINE_CACHE_FILE_PATH"] = str(kernels)
+        os.environ[CACHE_PLACE] = str(kernels)
     mend_kernel_cache(kernels)
     ti.set_logging_level(ti.ERROR)  # a machine without CUDA is nothing to warn of
     cuda = arch != "cpu" and is_arch_supported(ti.cuda)
@@ -84,6 +117,18 @@ def start_taichi(arch: str | None = None, seed: int = 0) -> None:
     if cuda and ti.cfg.arch != ti.cuda:
         raise BadInput("the CUDA GPU could not be started; --arch cpu runs without it")
     hasten_front_end()
+
+
+def program():
+    """The running program of Taichi; None before it is started."""
+    from taichi.lang import impl
+
+    return impl.get_runtime()._prog if QUADRANTS else impl.get_runtime().prog
+
+
+def address_of(array) -> int:
+    """Address of a ti.ndarray in the memory of the device."""
+    return program().get_ndarray_data_ptr_as_int(array.arr)
 
 
 def running_arch() -> str:
@@ -118,6 +163,8 @@ def hasten_front_end() -> None:
     the source are described for each expression, in case an error message should need them: here in one line.
     Attributes of classes with kernels are accessed directly, which saves time in every frame as well.
     """
+    if QUADRANTS:
+        return
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
@@ -155,7 +202,6 @@ def watch_compilation(note: Callable[[int], None]) -> Iterator[None]:
 
     Each is compiled at once. Else the kernels of a graph would all be compiled at its first run, and `note` not called.
     """
-    from taichi.lang import impl
     from taichi.lang.kernel_impl import Kernel
 
     materialize, count = Kernel.materialize, 0
@@ -168,7 +214,7 @@ def watch_compilation(note: Callable[[int], None]) -> Iterator[None]:
         count += 1
         note(count)
         materialize(self, key, *args, **kwargs)
-        prog = impl.get_runtime().prog
+        prog = program()
         prog.compile_kernel(prog.config(), prog.get_device_caps(), self.compiled_kernels[key])
 
     Kernel.materialize = noted
@@ -178,10 +224,71 @@ def watch_compilation(note: Callable[[int], None]) -> Iterator[None]:
         Kernel.materialize = materialize
 
 
+@contextlib.contextmanager
+def keep_compiled_kernels() -> Iterator[None]:
+    """While active, destroying field trees does not discard compiled kernels.
+
+    Taichi 1.7.4 discards all kernels of a program when one tree is destroyed, since one of them may use it: then the
+    next frame compiles everything again. A kernel that uses the tree is cached under the fields or the object that it
+    was compiled for, and neither is used again, so that all kernels may stay.
+    """
+    from taichi.lang import impl
+
+    runtime = impl.get_runtime()
+    outermost = "clear_compiled_functions" not in vars(runtime)
+    runtime.clear_compiled_functions = lambda: None  # shadows the method
+    try:
+        yield
+    finally:
+        if outermost:
+            del runtime.clear_compiled_functions
+
+
+class Graph:
+    """Launches of kernels that one call repeats: Taichi's do without Python, those of quadrants one by one."""
+
+    def __init__(self):
+        self._launches: list[tuple] = []
+        self._graph, self._numbers = None, {}
+
+    def launch(self, kernel, *numbers: int) -> None:
+        """Add the launch of a kernel with these numbers (i32), before the first run."""
+        self._launches.append((kernel, numbers))
+
+    def run(self) -> None:
+        """Repeat the launches."""
+        if QUADRANTS:
+            for kernel, numbers in self._launches:
+                kernel(*numbers)
+            return
+        if self._graph is None:
+            self._record()
+        self._graph.run(self._numbers)
+
+    def _record(self) -> None:
+        import taichi as ti
+
+        builder = ti.graph.GraphBuilder()
+        self._numbers = {f"number{n}": n for _, numbers in self._launches for n in numbers}
+        args = {n: ti.graph.Arg(ti.graph.ArgKind.SCALAR, name, ti.i32) for name, n in self._numbers.items()}
+        for kernel, numbers in self._launches:
+            builder.dispatch(kernel, *(args[n] for n in numbers))
+        self._graph = builder.compile()
+
+
 def is_out_of_memory(error: Exception) -> bool:
     """Test for an exhausted host or GPU memory; Taichi raises a RuntimeError that says so in words."""
     words = ("memory allocation", "out of memory", "out_of_memory", "failed to allocate")
     return isinstance(error, MemoryError) or any(word in str(error).lower() for word in words)
+
+
+def failure_line(error: Exception) -> str:
+    """What to say of an error that the machine causes; "" if the program does."""
+    if is_out_of_memory(error):
+        return "not enough memory; try a smaller picture or fewer Gaussians"
+    named = re.search(r"CUDA_ERROR_\w+", str(error))
+    who = "quadrants" if QUADRANTS else "Taichi"
+    return f"{who} fails on this GPU ({named[0]}): --arch cpu runs without it; see docs/installing.md" if named else ""
 
 
 INDEX, LOCK = "ticache.tcb", "ticache.lock"

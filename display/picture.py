@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import re
 from collections.abc import Container
 from dataclasses import replace
@@ -25,17 +24,9 @@ def pixels_of(picture) -> np.ndarray:
     On the CPU this is a view of the picture itself, valid until the next one is drawn (a copy through
     Taichi takes 4 ms at 960x540, more than the rest of showing it); from a GPU it is a copy.
     """
-    import taichi as ti
-    from taichi.lang import impl
+    from core.fields import view_of
 
-    height, width = picture.shape
-    if ti.cfg.arch in (ti.x64, ti.arm64):
-        ti.sync()
-        address = impl.get_runtime().prog.get_ndarray_data_ptr_as_int(picture.arr)
-        flat = np.ctypeslib.as_array((ctypes.c_uint8 * (4 * width * height)).from_address(address))
-    else:
-        flat = picture.to_numpy().view(np.uint8)
-    return flat.reshape(height, width, 4)
+    return np.asarray(view_of(picture))
 
 
 def surface_point(splats, camera: Camera, u: float, v: float) -> np.ndarray | None:

@@ -4,7 +4,7 @@ import taichi as ti
 
 from core.camera import Camera
 from core.errors import BadInput
-from core.fields import keep_compiled_kernels
+from core.runtime import keep_compiled_kernels
 from render.binning import DepthOrder, TileBins
 from render.blend import CPU_TILE, GPU_TILE, Blend
 from render.footprint import ChangedTiles

@@ -47,7 +47,7 @@ class State:
     def __init__(self, first: Sizes, capacity: Capacity = Capacity()):
         """Allocate the capacity that `first` and `capacity` ask for; `load` fills it."""
         vertices, tets, triangles = (capacity.sized(n, getattr(first, n)) for n in ("vertices", "tets", "triangles"))
-        on_cpu = ti.lang.impl.current_cfg().arch != ti.cuda
+        on_cpu = ti.cfg.arch != ti.cuda
         self.serial = on_cpu and first.tets < SERIAL_BELOW
         self.few = on_cpu and first.vertices < FEW_BELOW
         self.V, self.T, self.S = (round_up_capacity(n) for n in (vertices, tets, triangles))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+import core  # noqa: F401  before Taichi, in whose place VRGS_BACKEND may put another
 from tests.support.runtime import runtime
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # also in programs that tests start

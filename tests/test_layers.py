@@ -1,6 +1,7 @@
 """Architecture: the import order of the packages, and unique module names."""
 
 import ast
+import re
 from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -90,6 +91,13 @@ def test_a_package_imports_only_the_layers_below(package):
     for path in files:
         wrong = (imported_packages(path) & ours) - MAY_IMPORT[package] - {package}
         assert not wrong, f"{path.relative_to(ROOT)} imports {sorted(wrong)}"
+
+
+def test_one_module_reaches_into_taichis_inside():
+    """What it has besides, `taichi.math`, its forks have too."""
+    inside = re.compile(r"\btaichi\.(?!math\b)|\bti\.(lang|graph|_lib|_snode)\b")
+    found = [path for path in product_files() if inside.search(path.read_text(encoding="utf-8"))]
+    assert [path.relative_to(ROOT).as_posix() for path in found] == ["core/runtime.py"]
 
 
 @pytest.mark.parametrize("package", SIM_PACKAGES)

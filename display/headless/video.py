@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import os
 import sys
@@ -34,14 +35,16 @@ SPACE_MIN = 1e6  # [bytes] without which no codec can even begin
 
 
 class Headless(Display):
-    """A display of `count` frames of 1/60 s from the scene's camera.
+    """A display of `count` frames of 1/60 s from the scene's camera; None: of any number.
 
     views     2: pictures are stereo pairs
     scripted  whether the world's scripted hand plays
     """
 
-    def __init__(self, scene: Scene, *, width: int, height: int, frames: int, views: int = 1, scripted: bool = True):
-        if frames < 1:
+    def __init__(
+        self, scene: Scene, *, width: int, height: int, frames: int | None, views: int = 1, scripted: bool = True
+    ):
+        if frames is not None and frames < 1:
             raise BadInput(f"cannot run {frames} frames: at least one is needed")
         self.size, self.views, self.count, self._scripted = (width, height), views, frames, scripted
         self.show_scene(scene, "", "")
@@ -61,12 +64,13 @@ class Headless(Display):
         if world.wanted_view is not None:
             self._look(*world.wanted_view)
         try:
-            for index in range(1, self.count + 1):
+            for index in itertools.count(1) if self.count is None else range(1, self.count + 1):
                 mode = world.interaction
                 hands = world.scripted_hands((begin + index) * FRAME_DT) if self._scripted else []
                 commands = [] if world.interaction == mode else [SetInteraction(world.interaction)]  # for a recording
                 yield Frame(FRAME_DT, index * FRAME_DT, self.cameras, hands, commands)
-                line.show(f"frame {index} of {self.count}, {world.timings.fps:.1f} a second")
+                if self.count:
+                    line.show(f"frame {index} of {self.count}, {world.timings.fps:.1f} a second")
         finally:
             line.end()
 

@@ -245,7 +245,8 @@ class PictureTexture:
     def _share(self, picture) -> bool:
         """Copy the picture on the device; False if that is impossible here."""
         import taichi as ti
-        from taichi.lang import impl
+
+        from core.runtime import address_of
 
         if self.through_host is None:
             self.through_host = ti.cfg.arch != ti.cuda
@@ -254,7 +255,7 @@ class PictureTexture:
         ti.sync()  # Taichi draws in a stream of its own
         try:
             self._shared = self._shared or CudaTexture(self.texture)
-            self._shared.write(impl.get_runtime().prog.get_ndarray_data_ptr_as_int(picture.arr))
+            self._shared.write(address_of(picture))
         except NoInterop as e:
             self.through_host = True
             print(f"pictures pass through the host: OpenGL does not share the GPU ({e})", file=sys.stderr, flush=True)

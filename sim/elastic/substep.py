@@ -135,7 +135,7 @@ class PersistentGrid:
     """
 
     def __init__(self, words: int, points: int = 0, *, per_multiprocessor: int = 1):
-        self.on_cuda = ti.lang.impl.current_cfg().arch == ti.cuda
+        self.on_cuda = ti.cfg.arch == ti.cuda
         self.block, self.blocks = (BLOCK, per_multiprocessor * multiprocessors()) if self.on_cuda else (1, 1)
         self.warp = min(32, self.block)
         self.threads = self.blocks * self.block

@@ -28,6 +28,7 @@ import taichi as ti
 
 from core.errors import BadInput
 from core.fields import FieldGroup, Upload, round_up_capacity
+from core.runtime import Graph
 from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.substep import ALL_PASSES, Constraint, commit, phase_kernels
@@ -208,7 +209,7 @@ class VBDSubsteps:
         self._upload = Upload([self.order, self.corner, self.color_begin])
         self.colors = 0
         self.kernels: tuple | None = None
-        self.graphs: dict[int, ti.graph.Graph] = {}
+        self.graphs: dict[int, Graph] = {}
 
     def load(self, model: Model) -> None:
         """Take the colours and modes of these bodies."""
@@ -225,9 +226,9 @@ class VBDSubsteps:
         """Take `substeps` substeps; each number has a graph of its own, of the same kernels."""
         if substeps not in self.graphs:
             self.graphs[substeps] = self._record(substeps)
-        self.graphs[substeps].run({f"color{k}": k for k in range(self.colors)})
+        self.graphs[substeps].run()
 
-    def _record(self, substeps: int):
+    def _record(self, substeps: int) -> Graph:
         if self.kernels is None:
             phases = [[self._phases()] if self.in_pairs else []] * 2  # of all sweeps but the last, and of that
             if self.descent.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
@@ -239,18 +240,17 @@ class VBDSubsteps:
                 phases, modal = [[balance, *p] for p in phases], [balance, *modal]
             self.kernels = self._begin(), self._sweep(), phases, modal, self._end()
         begin, sweep, phases, modal, end = self.kernels
-        colors = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
-        graph = ti.graph.GraphBuilder()
+        colors, graph = range(self.colors), Graph()
         for _ in range(substeps):
-            graph.dispatch(begin)
+            graph.launch(begin)
             for k in range(self.iterations):
                 for color in colors if k % 2 == 0 else reversed(colors):  # there and back: no direction is favoured
-                    graph.dispatch(sweep, color)
+                    graph.launch(sweep, color)
                 for kernel in phases[k == self.iterations - 1]:
-                    graph.dispatch(kernel)
+                    graph.launch(kernel)
             for kernel in (*modal, end):
-                graph.dispatch(kernel)
-        return graph.compile()
+                graph.launch(kernel)
+        return graph
 
     def reset(self) -> None:
         """Forget the last substep: its accelerations and contacts."""

@@ -6,6 +6,7 @@ On the CPU a sequence of kernels is recorded once and replayed, on CUDA one kern
 import taichi as ti
 
 from core.lanes import dealt
+from core.runtime import Graph
 from sim.elastic.energy import Elasticity
 from sim.elastic.patches import SHARED_WORDS, Patches
 from sim.elastic.substep import (
@@ -43,7 +44,7 @@ class XPBDSubsteps:
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
         self.kernels = self._kernels()
-        self.graphs: dict[int, ti.graph.Graph] = {}
+        self.graphs: dict[int, Graph] = {}
 
     def load(self, model: Model) -> None:
         """Take other bodies: the state and the elasticity hold all that these kernels read."""
@@ -51,11 +52,10 @@ class XPBDSubsteps:
     def run(self, substeps: int) -> None:
         """Take `substeps` substeps; each number has a graph of its own, of the same kernels, recorded in 0.3 ms."""
         if substeps not in self.graphs:
-            graph = ti.graph.GraphBuilder()
+            self.graphs[substeps] = graph = Graph()
             for kernel in self.kernels * substeps:
-                graph.dispatch(kernel)
-            self.graphs[substeps] = graph.compile()
-        self.graphs[substeps].run({})
+                graph.launch(kernel)
+        self.graphs[substeps].run()
 
     def reset(self) -> None:
         """Forget the last substep: nothing outlives it but what the state holds."""

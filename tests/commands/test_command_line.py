@@ -190,3 +190,29 @@ def test_an_interrupt_that_comes_while_an_object_is_freed_ends_the_program(monke
     finally:
         signal.signal(signal.SIGINT, handler)
     assert capsys.readouterr().err == "vrgs: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    "error, line",
+    [
+        (
+            "CUDA Error CUDA_ERROR_ILLEGAL_ADDRESS: while calling",
+            "fails on this GPU (CUDA_ERROR_ILLEGAL_ADDRESS): --arch",
+        ),
+        ("CUDA Error CUDA_ERROR_OUT_OF_MEMORY: out of memory", "not enough memory"),
+    ],
+)
+def test_what_the_machine_cannot_do_is_said_in_one_line(monkeypatch, capsys, error, line):
+    def fail(options):
+        raise RuntimeError(f"[cuda_driver.h:operator()@93] {error}")
+
+    monkeypatch.setattr(vrgs, "play", fail)
+    assert vrgs.main([]) == 2
+    said = capsys.readouterr().err
+    assert line in said and said.count("\n") == 1
+
+
+def test_an_unknown_back_end_is_refused(monkeypatch, capsys):
+    monkeypatch.setenv("VRGS_BACKEND", "numpy")
+    assert vrgs.main(["scenes"]) == 2
+    assert capsys.readouterr().err == "vrgs: VRGS_BACKEND=numpy: it is taichi or quadrants\n"

@@ -3,7 +3,8 @@
 import pytest
 from taichi.lang import impl
 
-from core.fields import FieldGroup, destroy_fields, keep_compiled_kernels
+from core.fields import FieldGroup, destroy_fields
+from core.runtime import keep_compiled_kernels
 
 
 def test_kernels_are_kept_until_the_outermost_context_ends(ti_cpu):

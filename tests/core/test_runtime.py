@@ -12,12 +12,15 @@ import pytest
 import taichi as ti
 
 from core.runtime import (
+    CACHE_PLACE,
     ENTRY,
     HEADER_SIZE,
     INDEX,
     KEY_SIZE,
     LOCK,
     LOCK_AGE,
+    QUADRANTS,
+    Graph,
     KernelMethod,
     bind_kernels_of_all_classes,
     interrupts_held,
@@ -39,6 +42,7 @@ def test_an_interrupt_acts_after_what_would_swallow_it():
     assert after == ["went on"] and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@pytest.mark.skipif(QUADRANTS, reason="quadrants binds kernels as Python binds methods")
 def test_kernels_are_those_of_their_instance(ti_cpu):
     bind_kernels_of_all_classes()
 
@@ -74,6 +78,41 @@ def test_classes_from_before_the_start_are_bound(ti_cpu):
     from sim.state import State
 
     assert State.__getattribute__ is object.__getattribute__
+
+
+def test_launches_are_repeated_in_their_order_with_their_numbers(ti_cpu):
+    digits = ti.field(ti.i32, ())
+
+    @ti.kernel
+    def append(digit: ti.i32):
+        digits[None] = 10 * digits[None] + digit
+
+    @ti.kernel
+    def append_nine():
+        digits[None] = 10 * digits[None] + 9
+
+    graph = Graph()
+    for launch in ((append, 4), (append, 2), (append_nine,), (append, 4)):
+        graph.launch(*launch)
+    graph.run()
+    assert digits[None] == 4294
+    digits[None] = 0
+    graph.run()
+    assert digits[None] == 4294
+
+
+def test_another_back_end_stands_in_for_taichi(tmp_path):
+    package = tmp_path / "quadrants"
+    (package / "lang").mkdir(parents=True)
+    (package / "__init__.py").write_text("cfg = 'the fork'")
+    (package / "math.py").write_text("from . import cfg as vec3")
+    (package / "lang" / "__init__.py").touch()
+    code = "import core, taichi.lang, quadrants; from taichi.math import vec3; print(vec3, taichi is quadrants)"
+    env = os.environ | {"VRGS_BACKEND": "quadrants", "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "the fork True\n"
 
 
 def index(count: int) -> bytes:
@@ -135,7 +174,7 @@ for k in range(int(sys.argv[1]), int(sys.argv[2])):
 """
 
 
-@pytest.mark.parametrize("named", ["TI_OFFLINE_CACHE_FILE_PATH", "HOME"])
+@pytest.mark.parametrize("named", [CACHE_PLACE, "HOME"])
 def test_a_cache_that_cannot_be_made_does_not_crash_the_end(tmp_path, named):
     (tmp_path / "file").touch()
     (tmp_path / "kernels.py").write_text(PROGRAM)
@@ -143,14 +182,14 @@ def test_a_cache_that_cannot_be_made_does_not_crash_the_end(tmp_path, named):
     command = [sys.executable, tmp_path / "kernels.py", "0", "1"]
     run = subprocess.run(command, env=where, capture_output=True, text=True)
     assert (run.returncode, run.stdout, run.stderr) == (0, "0\n", "")
-    assert list(tmp_path.glob("vrgs*/kernels/*.tic"))  # kept for the next time
+    assert list(tmp_path.glob("vrgs*/kernels/**/*.*"))  # kept for the next time
 
 
 def program(folder: Path, first: int, last: int) -> subprocess.Popen:
     """A program that compiles kernels, or takes them from the cache, and runs them."""
     source = folder.with_suffix(".py")  # Taichi reads the text of kernels
     source.write_text(PROGRAM)
-    environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(folder), "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, CACHE_PLACE: str(folder), "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
         [sys.executable, str(source), str(first), str(last)], cwd=ROOT, env=environment, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,

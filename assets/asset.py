@@ -12,7 +12,7 @@ import numpy as np
 from assets.animation import Animation, read_animation, write_animation
 from assets.environment import Environment, read_environment, write_environment
 from assets.file_access import atomic_write
-from assets.gaussians import ROWS, Gaussians
+from assets.gaussians import ROWS, Gaussians, usable_view
 from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
 from assets.quantisation import (
     read_grid,
@@ -198,7 +198,10 @@ class Asset:
             objects = file.json("", "objects", tuple[str, ...], default="[]")
             antialias = file.has_attribute("", "antialias") and file.number("", "antialias") == 1
             sort = file.text("", "sort", default="")
-            gaussians = replace(gaussians, objects=objects, sort=sort, antialias=antialias)
+            seen = all(file.has_attribute("", name) for name in ("eye", "target", "around"))
+            places = (*file.vector("", "eye"), *file.vector("", "target"), file.number("", "around")) if seen else ()
+            view = usable_view(places)
+            gaussians = replace(gaussians, objects=objects, sort=sort, antialias=antialias, view=view)
             cage = embedding = None
             if file.has("cage"):
                 tets, surface = (file.indices(f"cage/{name}", (None, n)) for name, n in (("tets", 4), ("surface", 3)))
@@ -242,6 +245,9 @@ class Asset:
                 write_text(file, "sort", self.gaussians.sort)
             if self.gaussians.antialias:
                 file.attrs["antialias"] = 1
+            if self.gaussians.view:
+                view = self.gaussians.view
+                file.attrs["eye"], file.attrs["target"], file.attrs["around"] = view[:3], view[3:6], view[6]
             lossless = [] if quantised else [("gaussians", self.gaussians, ROWS)]
             if self.cage is not None:
                 lossless.append(("cage", self.cage, ("vertices", "tets", "surface")))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -39,7 +40,8 @@ class Gaussians:
     objects          names of the objects 1, 2, ...; an object beyond them has no name
     sort             order of blending that they were trained for, one of SORTS, or "" if that is not known
     antialias        True if they were trained for anti-aliased drawing (Mip-Splatting); they are too thick without
-    view             eye and target (6,) of a photographer, where they come from photographs; +y is up then
+    view             where they come from photographs: eye and target of a photographer, and how far [rad] the cameras
+                     go round the target, to either side, (7,); +y is up then
     """
 
     means: np.ndarray
@@ -119,10 +121,10 @@ class Gaussians:
         quats = multiply_quaternions(quaternions_from_matrices(rotation)[None], self.quats)
         sh = rotate_sh(self.sh, rotation)
         log_scales = self.log_scales + np.log(scale)
-        view = scale * np.reshape(self.view, (-1, 3)) @ rotation.T + np.asarray(translation)
+        view = scale * np.reshape(self.view[:6], (-1, 3)) @ rotation.T + np.asarray(translation)
         rows = Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, self.object_id)
         about = {"objects": self.objects, "sort": self.sort, "antialias": self.antialias}
-        return replace(rows, **about, view=tuple(view.ravel().tolist()))
+        return replace(rows, **about, view=(*view.ravel().tolist(), *self.view[6:]))
 
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, unless there are Gaussians and all of them can be drawn."""
@@ -149,6 +151,17 @@ class Gaussians:
             raise BadInput(f"{where}: names of objects are {what}")
 
 
+def usable_view(numbers: Iterable) -> tuple[float, ...]:
+    """The view (7,) from the numbers or words of a file, all around where it does not say; () if they are none."""
+    try:
+        view = tuple(float(w) for w in numbers)
+    except (TypeError, ValueError, OverflowError):
+        return ()
+    view = (*view, math.pi) if len(view) == 6 else view
+    usable = len(view) == 7 and (np.abs(view) < MAGNITUDE_MAX).all() and view[:3] != view[3:6]  # NaN compares false
+    return view if usable and 0.0 <= view[6] < 3.2 else ()
+
+
 def is_object_name(name: str) -> bool:
     """True if this can name an object: one line of a header, without blanks around it."""
     return 0 < len(name) <= OBJECT_NAME_MAX and name.isprintable() and name == name.strip()
@@ -158,7 +171,8 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
     """All Gaussians of the sets, padded to the highest SH degree among them.
 
     Named objects keep their names: those of later sets get other ids where the first set gave theirs away. The ids of
-    a set without names stay. The order of blending is that of most Gaussians, and so is `antialias`.
+    a set without names stay. The order of blending is that of most Gaussians, and so is `antialias`; the view is the
+    first that there is.
     """
     degree = max(g.sh_degree for g in sets)
     sets = [g.with_sh_degree(degree) for g in sets]
@@ -171,7 +185,9 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
             rows["object_id"][k] = new[g.object_id]
     counts = {sort: sum(len(g) for g in sets if g.sort == sort) for sort in ("", *SORTS)}
     antialias = 2 * sum(len(g) for g in sets if g.antialias) > sum(map(len, sets))
-    return Gaussians(*(np.concatenate(rows[name]) for name in ROWS), objects, max(counts, key=counts.get), antialias)
+    view = next((g.view for g in sets if g.view), ())
+    about = (objects, max(counts, key=counts.get), antialias, view)
+    return Gaussians(*(np.concatenate(rows[name]) for name in ROWS), *about)
 
 
 def axes_of(sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

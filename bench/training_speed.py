@@ -15,7 +15,7 @@ from core.errors import BadInput
 from core.runtime import running_arch
 from display.timing import peak_memory_mb
 from prepare.train.capture_files import read_capture
-from prepare.train.photographs import kept_for_test, load_photographs
+from prepare.train.photographs import learned_and_tested
 from prepare.train.seeds import first_gaussians
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
 from prepare.train.trainer import Trainer
@@ -50,7 +50,7 @@ def run(
 def read_training_capture(path: Path, reduce: int, test_every: int) -> tuple:
     """The upright capture, its photographs to learn from, and those kept for the test. Raises BadInput."""
     capture = read_capture(path).upright()
-    learned, kept = kept_for_test(load_photographs(capture.views, reduce), test_every)
+    learned, kept = learned_and_tested(capture, reduce, test_every)
     if not kept:
         raise BadInput("bench train compares with photographs that are kept for the test: --test-every 8")
     return capture, learned, kept

@@ -23,7 +23,7 @@ from assets.splat_files import read_gaussians, write_gaussians
 from commands import options as cli
 from commands import train
 from commands.segment import marked_photographs
-from commands.train import is_posed, photographs_of, stages_before, with_poses
+from commands.train import is_posed, photographs_of, read_posed, stages_before, with_poses
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
@@ -41,7 +41,6 @@ from prepare.segment.mask_files import read_masks
 from prepare.segment.mask_propagation import propagate_marks
 from prepare.segment.object_ids import learned_objects, masks_beside
 from prepare.train.capture import Capture
-from prepare.train.capture_files import read_capture
 from prepare.train.photographs import image_size, load_photographs
 
 STAGES = ("train", "cameras", "objects", "cages", "inpaint", "room")
@@ -49,6 +48,7 @@ MARKS = "marks.json"  # beside the photographs
 Say = Callable[[str], None]
 Bodies = list[tuple[Asset, RoomObject]]
 STEPS = {"cuda": 10_000, "cpu": 3_000}
+CPU_SIDE = 400  # [px] longest side of photographs on a CPU: 3,000 steps take minutes then
 OBJECTS = cli.OneOf()
 
 
@@ -79,7 +79,11 @@ class CaptureOptions(cli.Options):
         "guessed scale)",
     )
     steps: cli.Count | None = cli.option("N", f"training steps (default {cli.by_device(STEPS)})")
-    reduce: cli.Count = cli.reduce_option("the photographs")
+    reduce: cli.Count | None = cli.option(
+        "N",
+        f"divide the width and height of the photographs by N (default: on a CPU so that they have at most {CPU_SIDE} "
+        "pixels, on a GPU 1)",
+    )
     cap: cli.Count | None = cli.option("N", f"upper limit of Gaussians (default {cli.by_device(train.CAPS)})")
     vertices: cli.Count | None = cli.option("N", "vertices of each object's cage (default: as suits the device)")
     material: str | None = cli.option("NAME", "material of all objects (default plush; see: vrgs.py materials)")
@@ -155,6 +159,14 @@ class RoomMaking:
         o = self.options
         steps = o.steps or STEPS[running_arch()]
         capture, self.marks, self.masks = photographed(o, self.stages, self.say, self.length)
+        self.reduce = o.reduce or default_reduction(capture)
+        if running_arch() == "cpu":
+            width, height = image_size(capture.views[0].image)
+            small = f"{steps:,} steps on photographs of {width // self.reduce}x{height // self.reduce} pixels"
+            gpu = (
+                f"a GPU takes {STEPS['cuda']:,} steps on all {width}x{height} pixels, in about 4 minutes for everything"
+            )
+            self.say(f"on this CPU: {small} (--steps, --reduce); {gpu}")
 
         def make(folder: Path) -> None:
             training = train.TrainOptions(
@@ -163,7 +175,7 @@ class RoomMaking:
                 report=folder / "trained.json",
                 fast=True,
                 steps=steps,
-                reduce=o.reduce,
+                reduce=self.reduce,
                 cap=o.cap,
                 masks=self.masks or train.NO_MASKS,
                 seed=o.seed,
@@ -173,7 +185,7 @@ class RoomMaking:
             end_taichi()  # and with it the memory of the training
             start_taichi(o.arch, o.seed)
 
-        inputs = {"steps": steps, "reduce": o.reduce, "cap": o.cap, "seed": o.seed, **capture_key(capture)}
+        inputs = {"steps": steps, "reduce": self.reduce, "cap": o.cap, "seed": o.seed, **capture_key(capture)}
         if self.masks is not None:
             inputs["masks"] = [file_key(p) for p in sorted(self.masks.iterdir())]
         done = self.stages.run("train", inputs, make, source_digest("commands.train"))
@@ -201,7 +213,7 @@ class RoomMaking:
             return
 
         def make(folder: Path) -> None:
-            known, views, reduce = g, self.capture.views, self.options.reduce
+            known, views, reduce = g, self.capture.views, self.reduce
             if self.marks is not None:
                 masks = propagate_marks(self.capture, load_photographs(views, reduce), self.marks, g, progress)
                 photographs = load_photographs(views, reduce, masks.ids)
@@ -277,7 +289,7 @@ def photographed(
     """
     posed, is_video = is_posed(options.capture), options.capture.is_file()
     if posed:
-        capture = read_capture(options.capture)
+        capture = read_posed(options.capture, say)
         place = capture.folder / MARKS
     else:
         capture = Capture(*photographs_of(options.capture, stages, say))
@@ -290,6 +302,12 @@ def photographed(
         capture = with_poses(capture.folder, capture.views, stages, say, in_order=is_video)
         marks = marks and marks_in(marks, [view.name for view in capture.views], say)
     return capture, marks, masks
+
+
+def default_reduction(capture: Capture) -> int:
+    """By how much the sides of the photographs are divided where the user does not say it."""
+    longest = max(max(image_size(view.image)) for view in capture.views)
+    return -(-longest // CPU_SIDE) if running_arch() == "cpu" else 1
 
 
 def objects_of(

@@ -27,7 +27,7 @@ from core.errors import BadInput
 
 REQUIRED = MISSING  # default of an option that must be given
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json, .glb, a mesh (.obj, .glb, .stl, .ply with faces)"
-CAPTURES = "folder with transforms.json, transforms_train.json or a COLMAP model, a transforms.json"
+CAPTURES = "folder with transforms.json, transforms_train.json, a COLMAP model, or of Polycam or Record3D"
 GREY = (0.12, 0.13, 0.14)
 BACKGROUND_NAMES = {"grey": GREY, "black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 

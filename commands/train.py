@@ -21,8 +21,8 @@ from core.runtime import is_out_of_memory, running_arch, start_taichi
 from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.train import train_options
 from prepare.train.capture import Capture, Lens, View
-from prepare.train.capture_files import checked, find_colmap_model, read_capture, read_colmap, transforms_in
-from prepare.train.photographs import image_size, kept_for_test, load_photographs
+from prepare.train.capture_files import checked, read_capture, read_colmap, reader_of
+from prepare.train.photographs import image_size, learned_and_tested, photographs_differ
 from prepare.train.structure_from_motion import (
     VIDEOS,
     find_poses,
@@ -98,17 +98,15 @@ def train(options: TrainOptions, capture: Capture | None = None) -> None:
         if not has_display():
             raise BadInput("--preview: no display to open a window on")
     capture, masks = _with_masks(options, (capture or posed_capture(options)).upright())
-    kept_for_test(capture.views, options.test_every)  # refused before all photographs are loaded
     total = len(capture.views)
-    photographs = load_photographs(
-        capture.views,
+    train, test = learned_and_tested(
+        capture,
         options.reduce,
+        options.test_every,
         masks.ids if masks else None,
         progress=lambda count: _tell(f"photographs {count}/{total}", end=count == total),
     )
-    train, test = kept_for_test(photographs, 0 if capture.test else options.test_every)
-    if capture.test and options.test_every:
-        test = load_photographs(capture.test, options.reduce)
+    if capture.test and test:
         print(f"{len(test)} photographs are held out, as the capture says", file=sys.stderr)
     start_taichi(options.arch)
     print(_photographs(train), file=sys.stderr)
@@ -215,18 +213,26 @@ def is_posed(path: Path) -> bool:
     """True for a capture with poses; False for photographs alone or a video."""
     if path.is_file():
         return path.suffix.lower() not in VIDEOS
-    posed = not path.is_dir() or transforms_in(path) is not None or find_colmap_model(path) is not None
-    return posed or not photographs_in(image_folder(path))
+    return not path.is_dir() or reader_of(path) is not None or not photographs_in(image_folder(path))
 
 
 def posed_capture(options: TrainOptions) -> Capture:
     """The capture; for photographs or a video without poses these are found first, and kept beside the output."""
     path = options.capture
     if is_posed(path):
-        return read_capture(path)
+        return read_posed(path, _say)
     stages = Stages(options.out.with_name(f"{options.out.name}.poses"), stages_before(path))
     folder, views = photographs_of(path, stages, _say)
     return with_poses(folder, views, stages, _say, in_order=path.is_file())
+
+
+def read_posed(path: Path, say: Say) -> Capture:
+    """A capture with poses; a line to `say` where these do not seem to be those of its photographs. Raises BadInput."""
+    capture = read_capture(path)
+    if photographs_differ(capture):
+        text = "are the poses of another set, or the photographs renamed?"
+        say(f"warning: the photographs do not show the points' colours where the poses say: {text}")
+    return capture
 
 
 def stages_before(capture: Path) -> tuple[str, ...]:

@@ -40,7 +40,9 @@ class RenderOptions(cli.Options):
 
     splats: Path = cli.argument("SPLATS", f"{cli.SPLATS} or .h5")
     camera: Path | None = cli.option("CAM.json", "one camera or a list", one_of=WHERE)
-    turntable: bool = cli.switch("film one turn around it", one_of=WHERE)
+    turntable: bool = cli.switch(
+        "film one turn around it, or to and fro where it was photographed from one side", one_of=WHERE
+    )
     out: Path = cli.option("OUT.png|OUT.npz|OUT.mp4", "file to write", cli.REQUIRED)
     up: cli.Axis | None = cli.option(None, "turntable: the file's up axis (default: guessed)")
     size: cli.Size = cli.option("WxH", "turntable: picture size (default 960x540)", SIZE)
@@ -126,10 +128,11 @@ def _drawn(gaussians, cameras: list[Camera], outputs: str, antialias: bool, sort
 
 
 def film_turntable(options: RenderOptions) -> None:
-    """Film one turn around the splats: an MP4 of --frames pictures. Raises BadInput."""
+    """Film one turn around the splats, or to and fro where they were photographed from one side: an MP4 of --frames
+    pictures. Raises BadInput."""
     from display.headless.video import Video
     from display.timing import ProgressLine
-    from display.viewed_file import BACKGROUND, ViewedFile, camera_around
+    from display.viewed_file import BACKGROUND, ViewedFile, camera_around, film_yaws
     from render.renderer import Renderer
     from render.splats import Splats
 
@@ -150,8 +153,7 @@ def film_turntable(options: RenderOptions) -> None:
         )
         line = ProgressLine()
         elevation = None if options.elevation is None else np.radians(options.elevation)
-        for k in range(options.frames):
-            yaw = 2 * np.pi * k / options.frames
+        for k, yaw in enumerate(film_yaws(gaussians, options.frames)):
             renderer.render([camera_around(gaussians, width, height, yaw, elevation=elevation)])
             video.write(pixels_of(renderer.picture))
             line.show(f"frame {k + 1} of {options.frames}")

@@ -172,7 +172,7 @@ def view_around(
     Those from photographs are seen from where they were photographed, and orbit what was looked at.
     """
     if gaussians.view:
-        eye, middle = np.reshape(gaussians.view, (2, 3))
+        eye, middle = np.reshape(gaussians.view[:6], (2, 3))
         x, y, z = eye - middle
         away, yaw = np.linalg.norm(eye - middle), yaw + np.arctan2(x, z)
         elevation = np.arcsin(y / away) if elevation is None else elevation
@@ -192,6 +192,12 @@ def camera_around(
 ) -> Camera:
     """A camera that shows all Gaussians from `yaw` [rad]."""
     return perspective(width, height, FOV_Y, look_at(*view_around(gaussians, width / height, yaw, elevation)))
+
+
+def film_yaws(gaussians: Gaussians, count: int) -> np.ndarray:
+    """Yaw [rad] of each picture of a film that can be repeated, (count,): one turn, or as far as cameras have been."""
+    turns = 2 * np.pi * np.arange(count) / count
+    return gaussians.view[6] * np.sin(turns) if gaussians.view and gaussians.view[6] < np.pi else turns
 
 
 def scene_around(gaussians: Gaussians, aspect: float) -> Scene:

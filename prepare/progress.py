@@ -85,15 +85,15 @@ def read_arrays(path: Path) -> dict[str, np.ndarray] | None:
 def arrays_of(gaussians: Gaussians, **others) -> dict[str, np.ndarray]:
     """Gaussians as arrays by name; other keywords become JSON text in bytes."""
     text = np.frombuffer(
-        json.dumps([gaussians.objects, gaussians.sort, gaussians.antialias, others]).encode(), np.uint8
+        json.dumps([gaussians.objects, gaussians.sort, gaussians.antialias, gaussians.view, others]).encode(), np.uint8
     )
     return {name: vars(gaussians)[name] for name in ROWS} | {"json": text}
 
 
 def gaussians_of(arrays: dict[str, np.ndarray]) -> tuple[Gaussians, dict]:
     """Inverse of `arrays_of`."""
-    objects, sort, antialias, others = json.loads(arrays["json"].tobytes())
-    return Gaussians(*(arrays[name] for name in ROWS), tuple(objects), sort, antialias), others
+    objects, sort, antialias, *view, others = json.loads(arrays["json"].tobytes())  # older ones have no view
+    return Gaussians(*(arrays[name] for name in ROWS), tuple(objects), sort, antialias, *map(tuple, view)), others
 
 
 Progress = Callable[[str, float], None]  # (step, fraction of it that is done)

@@ -38,6 +38,7 @@ from assets.gaussians import (
     concatenate,
     drawable_gaussians,
     is_object_name,
+    usable_view,
 )
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
@@ -130,8 +131,10 @@ def _primitive(file: GlbFile, attributes: dict, about: dict, report: Report) -> 
     extras = about.get("extras") if isinstance(about.get("extras"), dict) else {}
     sort = extras.get("sort") if extras.get("sort") in SORTS else SORTING.get(str(about.get("sortingMethod")), "radial")
     antialias = extras.get("antialias") is True
+    view = usable_view(extras["view"]) if isinstance(extras.get("view"), list) else ()
     logits = np.log(alpha / (1 - alpha))
-    return drawable_gaussians(file.path, means, quats, logs, logits, sh, report, sort=sort, antialias=antialias)
+    g = drawable_gaussians(file.path, means, quats, logs, logits, sh, report, sort=sort, antialias=antialias)
+    return replace(g, view=view)
 
 
 def _placed(file: GlbFile, g: Gaussians, world: np.ndarray) -> Gaussians:
@@ -173,6 +176,7 @@ def write_glb(path: str | Path, g: Gaussians) -> None:
     blobs, views, accessors, meshes, nodes, begin = [], [], [], [], [], 0
     extras = {"sort": g.sort} if g.sort else {}
     extras |= {"antialias": True} if g.antialias else {}
+    extras |= {"view": g.view} if g.view else {}
     method = next((method for method, sort in SORTING.items() if sort == g.sort), "cameraDistance")
     about = KNOWN | {"sortingMethod": method, **({"extras": extras} if extras else {})}
     for index in np.unique(g.object_id).tolist():

@@ -27,7 +27,7 @@ from numpy.lib.recfunctions import structured_to_unstructured
 
 from assets.file_access import atomic_write, open_input
 from assets.formats.packing import ALPHA_EPSILON, bytes_from_logits, join_largest, logits_from_bytes, split_largest
-from assets.gaussians import MAGNITUDE_MAX, OBJECTS_MAX, SORTS, Gaussians, Report, drawable_gaussians, is_object_name
+from assets.gaussians import OBJECTS_MAX, SORTS, Gaussians, Report, drawable_gaussians, is_object_name, usable_view
 from core.errors import BadInput
 from core.morton import morton_order
 from core.spherical_harmonics import C0
@@ -148,13 +148,7 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
 
 def _view(comments: list[str]) -> tuple[float, ...]:
     """The view of the comments of a header, () if there is none that can be used."""
-    words = next((c.split()[1:] for c in comments if c.startswith("view ")), [])
-    try:
-        view = tuple(float(w) for w in words)
-    except ValueError:
-        return ()
-    usable = len(view) == 6 and (np.abs(view) < MAGNITUDE_MAX).all() and view[:3] != view[3:]  # NaN compares false
-    return view if usable else ()
+    return usable_view(next((c.split()[1:] for c in comments if c.startswith("view ")), []))
 
 
 def read_vertices(path: Path) -> np.ndarray:

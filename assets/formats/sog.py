@@ -18,6 +18,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
@@ -26,7 +27,7 @@ import numpy as np
 from assets.file_access import atomic_write, file_size, open_input, unpack_bound
 from assets.formats.packing import bytes_from_logits, join_largest, logits_from_bytes, split_largest, to_bytes
 from assets.formats.ply import chunk_order
-from assets.gaussians import SH_COUNTS, SORTS, Gaussians, Report, drawable_gaussians
+from assets.gaussians import SH_COUNTS, SORTS, Gaussians, Report, drawable_gaussians, usable_view
 from assets.images import decode_image, read_image_header
 from core.errors import BadInput
 from core.typed import Range, Shape, from_json, from_plain
@@ -189,6 +190,7 @@ def _decode(images: Images, report: Report) -> Gaussians:
     about = meta.get("asset") if isinstance(meta.get("asset"), dict) else {}
     sort = about["sort"] if about.get("sort") in SORTS else ""
     antialias = meta.get("model") == "antialiased" or meta.get("antialias") is True
+    view = usable_view(about["view"]) if isinstance(about.get("view"), list) else ()
     low_byte, high_byte = (images.rows("means", count, index)[:, :3] for index in (0, 1))
     stored = _between(images, "means", low_byte + high_byte.astype(np.uint16) * 256, code_max=65535)
     with np.errstate(over="ignore"):  # non-finite Gaussians are dropped later
@@ -210,9 +212,10 @@ def _decode(images: Images, report: Report) -> Gaussians:
     sh = dc[:, None, :].astype(np.float32)
     if meta.get("shN") is not None:
         sh = np.concatenate([sh, _palette(images, count, version)], axis=1)
-    return drawable_gaussians(
+    g = drawable_gaussians(
         path, means, quats, log_scales.astype(np.float32), logits, sh, report, sort=sort, antialias=antialias
     )
+    return replace(g, view=view)
 
 
 def _between(images: Images, name: str, codes: np.ndarray, code_max: int = 255) -> np.ndarray:
@@ -262,7 +265,9 @@ def write_sog(path: str | Path, g: Gaussians) -> None:
     quats = np.c_[to_bytes((others * math.sqrt(0.5) + 0.5) * 255), (LARGEST_MIN + largest).astype(np.uint8)]
     (scales, scale_book), (dc, dc_book) = _coded(g.log_scales), _coded(g.sh[:, 0])
     alpha = np.maximum(bytes_from_logits(g.logit_opacities), 1)  # WebP does not keep the colour of what is invisible
-    meta = {"version": 2, "asset": {"generator": "VR-GS", **({"sort": g.sort} if g.sort else {})}, "count": n}
+    about = {"sort": g.sort} if g.sort else {}
+    about |= {"view": g.view} if g.view else {}
+    meta = {"version": 2, "asset": {"generator": "VR-GS", **about}, "count": n}
     meta |= {"model": "antialiased"} if g.antialias else {}
     meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}
     meta["scales"] = {"codebook": scale_book, "files": ["scales.webp"]}

@@ -4,7 +4,8 @@ Versions 1-3 are one gzip stream: a 16-byte header, then positions, alphas, colo
 rotations, SH. Version 4 is a 32-byte header, a table and one zstd stream an attribute. The axes are
 right-up-back, half a turn about x away from those of the .ply (right-down-front); reading and
 writing turn them; an extension of Adobe may name others. The order of blending that the splats were trained
-for, if it is not z, is the comment of the gzip stream (RFC 1952), `sort radial`, in version 4 an extension.
+for, if it is not z, is a line in the comment of the gzip stream (RFC 1952), `sort radial`, in version 4 an extension;
+so is the view of a photographer, `view 0 1 2 0 0 0 3.14`.
 An extension is its type, the length of its content, and that; they lie behind the header, in versions 1-3 at the end.
 """
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from assets.file_access import atomic_write, open_input, unpack_bound
 from assets.formats.packing import bytes_from_logits, join_largest, logits_from_bytes, split_largest, to_bytes
-from assets.gaussians import SH_COUNTS, SORTS, Gaussians, Report, drawable_gaussians
+from assets.gaussians import SH_COUNTS, SORTS, Gaussians, Report, drawable_gaussians, usable_view
 from core.errors import BadInput
 from core.spherical_harmonics import sh_basis
 
@@ -41,7 +42,7 @@ ZSTD_LEVEL = 12  # of 22: 1.5 % less than 3; 19, 7 % less, takes 40 s for a mill
 ZSTD_WINDOW_MAX = 1 << 27  # [bytes] of memory that a zstd frame may ask for; its own default limit
 EXTENSIONS_MAX = 1 << 16  # [bytes] of all extensions of version 1 to 3
 EXTENSION = struct.Struct("<II")  # type, length of the content [bytes]
-COORDINATE_SYSTEM, SORT = 0xADBE0003, 0x56520001  # types of extensions: Adobe's, and ours
+COORDINATE_SYSTEM, SORT, VIEW = 0xADBE0003, 0x56520001, 0x56520002  # types of extensions: Adobe's, and ours
 SYSTEMS = [
     f"{x}{y}{z}" for y, z in ("DB", "UB", "DF", "UF", "FD", "FU", "BD", "BU") for x in "LR"
 ]  # of x, y, z; from 1
@@ -90,18 +91,20 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
         header, streams, more = _read_gzip(path, data, unzipped)
     extensions = _extensions(more) if header.flags & EXTENSIONS else {}
     system = int.from_bytes(extensions.pop(COORDINATE_SYSTEM, b""), "little")
-    named = extensions.pop(SORT, b"")
+    lines = [b"sort " + extensions.pop(SORT, b""), b"view " + extensions.pop(VIEW, b"")]
     ignored = ["SH degree 4"] if header.sh_degree > 3 else []
     ignored += [f"its extension {kind:#x}" for kind in extensions]
     ignored += [f"its coordinate system {system}"] if system > len(SYSTEMS) else []
     if ignored:
         report(f"{path}: ignored {', '.join(ignored)}")
-    comment = data[10:].split(b"\0", 1)[0] if not unzipped and data[3] == GZIP_COMMENT else b"sort " + named
-    sort = next((sort for sort in SORTS if comment == f"sort {sort}".encode()), "")
+    if not unzipped and data[3] == GZIP_COMMENT:
+        lines = data[10:].split(b"\0", 1)[0].split(b"\n")
+    sort = next((sort for sort in SORTS if f"sort {sort}".encode() in lines), "")
+    view = usable_view(next((line.split()[1:] for line in lines if line.startswith(b"view ")), []))
     g = _decode(path, header, streams, report)
     if 0 < system <= len(SYSTEMS):
         g = _turned(g, SYSTEMS[system - 1])
-    return replace(g, sort=sort, antialias=bool(header.flags & ANTIALIASED))
+    return replace(g, sort=sort, antialias=bool(header.flags & ANTIALIASED), view=view)
 
 
 def _header(path: Path, data: bytes, stored: int) -> Header:
@@ -267,19 +270,22 @@ def spz_bytes(path: str | Path, g: Gaussians, version: int = 3) -> bytes:
     ]
     streams = [np.ascontiguousarray(s).tobytes() for s in streams]
     about = SPZ_MAGIC, version, n, g.sh_degree, bits
-    named = g.sort.encode() if g.sort not in ("", "z") else b""
+    said = {SORT: g.sort} if g.sort not in ("", "z") else {}
+    said |= {VIEW: " ".join(f"{v:.7g}" for v in g.view)} if g.view else {}
+    said = {kind: text.encode() for kind, text in said.items()}
     if version == 4:
         import zstandard
 
         sizes = [len(s) for s in streams if s]
         packed = [zstandard.compress(s, ZSTD_LEVEL) for s in streams if s]
-        more = EXTENSION.pack(SORT, len(named)) + named if named else b""
-        flags = ANTIALIASED * g.antialias | EXTENSIONS * bool(named)
+        more = b"".join(EXTENSION.pack(kind, len(text)) + text for kind, text in said.items())
+        flags = ANTIALIASED * g.antialias | EXTENSIONS * bool(said)
         head = SPZ_HEADER.pack(*about, flags, len(packed))
         head += (HEADER_4_SIZE + len(more)).to_bytes(HEADER_4_SIZE - TABLE_OFFSET, "little") + more
         table = [STREAM_ENTRY.pack(len(p), size) for p, size in zip(packed, sizes, strict=True)]
         return b"".join([head, *table, *packed])
     packed = gzip.compress(SPZ_HEADER.pack(*about, ANTIALIASED * g.antialias, 0) + b"".join(streams), 6, mtime=0)
-    if named:
-        packed = packed[:3] + bytes([GZIP_COMMENT]) + packed[4:10] + b"sort " + named + b"\0" + packed[10:]
+    if said:
+        lines = b"\n".join({SORT: b"sort ", VIEW: b"view "}[kind] + text for kind, text in said.items())
+        packed = packed[:3] + bytes([GZIP_COMMENT]) + packed[4:10] + lines + b"\0" + packed[10:]
     return packed

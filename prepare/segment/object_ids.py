@@ -100,7 +100,7 @@ def learned_objects(
             progress("masks", trainer.done / options.steps)
     found = identified(trainer)
     trainer.destroy()
-    return found
+    return replace(found, view=g.view)
 
 
 def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np.ndarray:

@@ -15,6 +15,8 @@ from core.rotation import rotation_between
 
 SIDE_MAX = 16384  # [px]
 ASPECT_TOLERANCE = 0.01  # between an image and its camera: sizes of reduced copies are rounded
+GAP = 0.5 * np.pi  # [rad] between neighbouring cameras around what they look at; with a wider one they are on one side
+ASIDE = np.pi / 6  # [rad] that cameras which look away from each other are taken to go round what lies ahead
 EXTENT_MARGIN = 1.1  # factor on the distance of the farthest camera from their centre, as in 3DGS
 
 
@@ -135,6 +137,7 @@ class View:
     """A photograph: its file, its lens, and `world_to_camera` (4, 4), +z forward and +y down.
 
     cut_out  there is nothing where it is transparent; else what is there is not known
+    border   [px] along the photograph's edges that do not count
     """
 
     image: Path
@@ -142,6 +145,7 @@ class View:
     world_to_camera: np.ndarray
     mask: Path | None = None
     cut_out: bool = False
+    border: int = 0
 
     @property
     def name(self) -> str:
@@ -202,17 +206,26 @@ class Capture:
         return replace(self, views=views, test=test, points=self.points @ turn[:3, :3].T)
 
     def photographer(self) -> tuple[float, ...]:
-        """A camera as far from what is looked at as most, and the point: eye and target (6,).
+        """A camera amid the others, what is looked at, and how far the cameras go round that, as `Gaussians.view` (7,).
 
-        The point lies ahead of the camera where the cameras look away from each other.
+        The point lies ahead of the camera where the cameras look away from each other. The capture is `upright`.
         """
         target, places = self.looked_at(), np.array([v.position for v in self.views])
-        away = np.linalg.norm(places - target, axis=1)
-        k = int(np.argmin(np.abs(away - np.median(away))))
+        x, y, z = (places - target).T
+        away = np.maximum(np.linalg.norm(places - target, axis=1), 1e-9)
+        turn, rise = np.arctan2(x, z), np.arcsin(y / away)
+        order = np.sort(turn)
+        gaps = np.diff(order, append=order[0] + 2 * np.pi)
+        widest = int(np.argmax(gaps))
+        around, beside = np.pi, 0.0 * turn
+        if gaps[widest] > GAP:
+            around = np.pi - 0.5 * gaps[widest]
+            beside = np.abs(np.angle(np.exp(1j * (turn - order[widest] - 0.5 * gaps[widest] - np.pi))))
+        k = int(np.argmin(beside + np.abs(rise - np.median(rise)) + np.abs(np.log(away / np.median(away)))))
         ahead = self.views[k].world_to_camera[2, :3]
-        if (target - places[k]) @ ahead < 0.5 * away[k] or away[k] == 0.0:
-            target = places[k] + self.extent * ahead
-        return (*map(float, places[k]), *map(float, target))
+        if (target - places[k]) @ ahead < 0.5 * away[k]:
+            target, around = places[k] + self.extent * ahead, ASIDE
+        return (*map(float, places[k]), *map(float, target), float(around))
 
     def looked_at(self) -> np.ndarray:
         """The point nearest to the axes of all cameras, (3,); the middle of the cameras where those are parallel."""

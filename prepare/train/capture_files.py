@@ -1,13 +1,15 @@
-"""Captures in files: transforms.json (nerfstudio, instant-ngp, Blender), COLMAP models as text or binary, points."""
+"""Captures in files: transforms.json (nerfstudio, instant-ngp, Blender), COLMAP models, Polycam, Record3D, points."""
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from os.path import isfile
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from assets.formats.ply import read_vertices
 from assets.gaussians import MAGNITUDE_MAX
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
+from core.typed import Range, Shape, from_plain
 from prepare.train.capture import Capture, Lens, View
 from prepare.train.photographs import image_size
 
@@ -32,6 +35,12 @@ TRANSFORMS = ("transforms.json", "transforms_train.json")
 TRANSFORMS_TEST = "transforms_test.json"  # beside the latter; transforms_val.json is for neither
 FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", ".")  # of a capture, in which models lie
 IMAGE_FOLDERS = ("images", ".")
+SUFFIXES = (".png", ".jpg", ".jpeg")  # tried where a name has none
+KEYFRAMES = "keyframes"  # folder of Polycam's raw data; in it (cameras, photographs), the corrected ones first
+POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
+POLYCAM_BORDER = 15  # [px] of corrected photographs, which may be black (nerfstudio's converter crops as much)
+RECORD3D = (("metadata.json", "rgb"), ("metadata", "rgbd"))  # exported as EXR + JPG; an unzipped .r3d
+RECORD3D_VIEWS = 300  # most that are taken of a recording, which has 30 or 60 a second
 SIDE_MISSING = 1000  # [px] of images that are not there, until `checked` has counted them
 NAME_MAX = 4096  # [bytes]
 # COLMAP's model number: name, focal lengths (1 or 2), coefficients of OpenCV's in the order of the file, fisheye
@@ -49,13 +58,11 @@ COLMAP_MODELS = {
 
 
 def read_capture(path: str | Path) -> Capture:
-    """The capture in a folder, or of a transforms.json: nerfstudio, instant-ngp, Blender or COLMAP (text or binary).
+    """The capture in a folder, or of a transforms.json: nerfstudio, instant-ngp, Blender, COLMAP, Polycam, Record3D.
 
     Raises BadInput, which names the fault and a remedy.
     """
     path = Path(path)
-    if path.is_dir() and (found := transforms_in(path)) is not None:
-        path = found
     if path.is_file():
         if path.suffix.lower() != ".json":
             raise BadInput(
@@ -64,17 +71,29 @@ def read_capture(path: str | Path) -> Capture:
         return checked(read_transforms(path))
     if not path.is_dir():
         raise BadInput(f"{path}: no such folder")
-    model = find_colmap_model(path)
-    if model is None:
+    read = reader_of(path)
+    if read is None:
         raise BadInput(
             f"{path}: holds no photographs, neither in images/, and no transforms.json or COLMAP model (sparse/0)"
         )
-    return checked(read_colmap(model, path))
+    return checked(read())
 
 
-def transforms_in(folder: Path) -> Path | None:
-    """The file that describes the cameras in a folder, of Blender's datasets that of the views to learn from."""
-    return next((p for p in (folder / name for name in TRANSFORMS) if p.is_file()), None)
+def reader_of(folder: Path) -> Callable[[], Capture] | None:
+    """The function that reads the views with poses that a folder holds, None if it holds none."""
+    for name in TRANSFORMS:  # of Blender's datasets the views to learn from
+        if (folder / name).is_file():
+            return partial(read_transforms, folder / name)
+    if (model := find_colmap_model(folder)) is not None:
+        return partial(read_colmap, model, folder)
+    keyframes = folder if folder.name == KEYFRAMES else folder / KEYFRAMES
+    for cameras, images in POLYCAM:
+        if next((keyframes / cameras).glob("*.json"), None):
+            return partial(read_polycam, keyframes / cameras, images)
+    for name, images in RECORD3D:
+        if (folder / name).is_file() and (folder / images).is_dir():
+            return partial(read_record3d, folder / name, images)
+    return None
 
 
 def checked(capture: Capture) -> Capture:
@@ -157,7 +176,8 @@ def _view(path: Path, values: dict, frame: dict) -> View:
         raise BadInput(f"{path}: a frame has no file_path")
     image = _inside(path, path.parent, name)
     if not image.suffix:  # as of Blender's datasets
-        image = image.with_suffix(".png")
+        named = [image.with_suffix(suffix) for suffix in SUFFIXES]
+        image = next((p for p in named if isfile(p)), named[0])
     mask = values.get("mask_path")
     mask = _inside(path, path.parent, mask) if isinstance(mask, str) else None
     where = f"{path}: {name}"
@@ -174,6 +194,47 @@ def _inside(where: Path, folder: Path, name: str) -> Path:
     return folder / name
 
 
+def read_polycam(cameras: Path, images: str) -> Capture:
+    """The capture of Polycam's raw data: a JSON file a photograph, and beside that folder the one of the photographs.
+
+    t_00 ... t_23 are the rows of world_from_camera, of ARKit: +y up, +y up and +z back in the camera. Raises BadInput.
+    """
+    views, border = [], POLYCAM_BORDER if images.startswith("corrected") else 0
+    for file in sorted(cameras.glob("*.json")):
+        data = from_plain(dict[str, Any], read_json(file, FILE_MAX), str(file))
+        pose = [[data.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
+        names = {"w": "width", "h": "height", "fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy"}
+        values = {name: data.get(theirs) for name, theirs in names.items()}
+        frame = {"file_path": f"{images}/{file.stem}", "transform_matrix": pose}
+        views.append(replace(_view(cameras, values, frame), border=border))
+    return Capture(cameras.parent, views)
+
+
+def read_record3d(metadata: Path, images: str) -> Capture:
+    """The capture of a recording: photographs 0, 1, ... in `images`, of which at most RECORD3D_VIEWS are taken.
+
+    poses are (qx, qy, qz, qw, x, y, z) of world_from_camera, of ARKit; K is a matrix by columns,
+    perFrameIntrinsicCoeffs (fx, fy, cx, cy) of each photograph. Raises BadInput.
+    """
+    data = from_plain(dict[str, Any], read_json(metadata, FILE_MAX), str(metadata))
+    bound = Range(-MAGNITUDE_MAX, MAGNITUDE_MAX)
+    poses = from_plain(Annotated[np.ndarray, Shape(None, 7), bound], data.get("poses"), f"{metadata}: poses")
+    if data.get("perFrameIntrinsicCoeffs"):
+        kind = Annotated[np.ndarray, Shape(len(poses), 4), bound]
+        lenses = from_plain(kind, data["perFrameIntrinsicCoeffs"], f"{metadata}: perFrameIntrinsicCoeffs")
+    else:
+        k = from_plain(Annotated[np.ndarray, Shape(9), bound], data.get("K"), f"{metadata}: K")
+        lenses = np.tile(k[[0, 4, 6, 7]], (len(poses), 1))
+    views, size = [], {"w": data.get("w"), "h": data.get("h")}
+    for i in range(0, len(poses), max(1, -(-len(poses) // RECORD3D_VIEWS))):
+        pose = _pose(poses[i, [3, 0, 1, 2]], poses[i, 4:])
+        frame = {"file_path": f"{images}/{i}", "transform_matrix": pose.tolist()}
+        views.append(
+            _view(metadata, size | dict(zip(("fl_x", "fl_y", "cx", "cy"), lenses[i].tolist(), strict=True)), frame)
+        )
+    return Capture(metadata.parent, views)
+
+
 def _frame_lens(where: str, values: dict, image: Path) -> Lens:
     def number(name: str, default: float | None = None) -> float | None:
         value = values.get(name)
@@ -188,12 +249,14 @@ def _frame_lens(where: str, values: dict, image: Path) -> Lens:
     width, height = number("w"), number("h")
     if width is None or height is None:
         width, height = image_size(image) if isfile(image) else (SIDE_MISSING, SIDE_MISSING)
-    fx = number("fl_x")
+    fx, fy = number("fl_x"), number("fl_y")
     if fx is None:
-        angle = number("camera_angle_x")
+        angle, high = number("camera_angle_x"), number("camera_angle_y")
         if angle is None or not 0.0 < angle < math.pi:
             raise BadInput(f"{where}: has neither a focal length (fl_x) nor an angle of view (camera_angle_x)")
         fx = 0.5 * width / math.tan(0.5 * angle)
+        if fy is None and high is not None and 0.0 < high < math.pi:
+            fy = 0.5 * height / math.tan(0.5 * high)
     model = values.get("camera_model", "OPENCV")
     if model not in TRANSFORMS_MODELS:
         raise BadInput(
@@ -204,7 +267,7 @@ def _frame_lens(where: str, values: dict, image: Path) -> Lens:
     if any(isinstance(n, float) and not math.isfinite(n) for n in (width, height)):
         raise BadInput(f"{where}: the size is not finite")
     cx, cy = number("cx", 0.5 * width), number("cy", 0.5 * height)
-    return Lens(int(width), int(height), fx, number("fl_y", fx), cx, cy, distortion, fisheye)
+    return Lens(int(width), int(height), fx, fx if fy is None else fy, cx, cy, distortion, fisheye)
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:

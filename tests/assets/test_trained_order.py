@@ -32,6 +32,32 @@ def test_how_they_were_trained_comes_back(tmp_path, name, antialias):
     assert (kept.sort, kept.antialias) == ("radial", antialias)
 
 
+@pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.spz", "b.spz", "a.sog", "a.glb", "a.h5"])
+def test_from_where_they_were_photographed_comes_back(tmp_path, name):
+    """Beside the order of blending and without it; numbers that are no view are passed over."""
+    for sort in ("radial", ""):
+        for view, seen in (((3.0, 1.0, 0.5, 0.0, -2e-3, 0.5, 1.5), True), ((1.0, 2.0, 3.0, 1.0, 2.0, 3.0, 1.5), False)):
+            g = replace(some_gaussians(9, 1), sort=sort, view=view)
+            if name == "a.h5":
+                Asset(g).save(tmp_path / name)
+            else:
+                options = {"version": 4} if name == "b.spz" else {}
+                write_gaussians(tmp_path / name, g, report=pytest.fail, **options)
+            read = read_gaussians(tmp_path / name, pytest.fail)
+            assert read.view == (pytest.approx(view) if seen else ())
+            assert gaussians_of(arrays_of(read))[0].view == read.view
+            assert (read.sort == "radial") == (sort == "radial" or name == "a.glb")  # its own default
+    assert concatenate([some_gaussians(3), read, replace(read, view=(1, 2, 3, 0, 0, 0, 1))]).view == (
+        1,
+        2,
+        3,
+        0,
+        0,
+        0,
+        1,
+    )
+
+
 @pytest.mark.parametrize(
     ("comments", "antialias"),
     [

@@ -9,10 +9,18 @@ import numpy as np
 import pytest
 
 from commands import capture_room, train
-from commands.capture_room import CaptureOptions, capture_key, marks_in, photographed, stages_before
+from commands.capture_room import (
+    CaptureOptions,
+    capture_key,
+    default_reduction,
+    marks_in,
+    photographed,
+    stages_before,
+)
 from core.errors import BadInput
 from prepare.room_capture.stages import Stages
 from prepare.segment.marks import Marks, ViewMarks, write_marks
+from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import read_capture
 
 NAMES = [f"{k}.png" for k in range(5)]
@@ -165,3 +173,12 @@ def test_a_training_depends_on_photographs_and_poses_not_on_marks_or_rooms_besid
     image = tmp_path / "toys" / "images" / NAMES[0]
     image.write_bytes(image.read_bytes() + b"\0")
     assert key() != before
+
+
+def test_on_a_cpu_photographs_are_reduced(tmp_path, monkeypatch):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((900, 700, 3), np.uint8))
+    lens = Lens(1400, 1800, 1000.0, 1000.0, 700.0, 900.0)  # of the original, of which the file is a copy
+    capture = Capture(tmp_path, [View(tmp_path / "a.png", lens, np.eye(4))])
+    for arch, reduction in (("cpu", 3), ("cuda", 1)):
+        monkeypatch.setattr(capture_room, "running_arch", lambda arch=arch: arch)
+        assert default_reduction(capture) == reduction

@@ -14,7 +14,7 @@ from core.errors import BadInput
 from display import user_commands
 from display.panel import Slider, crop_section
 from display.protocol import Frame, Line
-from display.viewed_file import UP_AXES, ViewedFile, camera_around, scene_around
+from display.viewed_file import UP_AXES, ViewedFile, camera_around, film_yaws, scene_around
 from display.viewer import BACKGROUNDS, Viewer
 from display.window.overlay import visible_part
 
@@ -122,7 +122,7 @@ def test_what_was_trained_is_first_seen_from_where_it_was_photographed(tmp_path)
     means = np.concatenate([rng.uniform(-0.5, 0.5, (40, 3)), rng.normal(size=(40, 3)) * 100])
     g = Gaussians.of(means, turn, np.full((80, 3), -3.0), np.full(80, 2.0), np.zeros((80, 1, 3)))
     eye, target = (3.0, 1.0, 0.0), (0.0, 0.0, 0.5)
-    seen = replace(g, view=(*eye, *target))
+    seen = replace(g, view=(*eye, *target, 0.5))
     for name in ("a.compressed.ply", "a.ply"):
         write_gaussians(tmp_path / name, seen)
         file = ViewedFile.read(tmp_path / name, None)
@@ -131,9 +131,13 @@ def test_what_was_trained_is_first_seen_from_where_it_was_photographed(tmp_path)
     assert np.allclose(camera_around(file.gaussians, 60, 40, np.pi).position, (-3.0, 1.0, 1.0), atol=1e-5)
     level = camera_around(file.gaussians, 60, 40, 0.0, elevation=0.0).position - target
     assert abs(level[1]) < 1e-9 and np.isclose(np.linalg.norm(level), np.linalg.norm(np.subtract(eye, target)))
+    assert np.allclose(film_yaws(file.gaussians, 8)[[0, 2, 4, 6]], (0, 0.5, 0, -0.5))
     moved = seen.transformed(np.eye(3), (1.0, 2.0, 3.0), 2.0).view
-    assert moved == (7.0, 4.0, 3.0, 1.0, 2.0, 4.0) and g.transformed(np.eye(3)).view == ()
+    assert moved == (7.0, 4.0, 3.0, 1.0, 2.0, 4.0, 0.5) and g.transformed(np.eye(3)).view == ()
     whole = (tmp_path / "a.ply").read_bytes()
-    for words in (b"view 1 2 3 nan 5 6", b"view 1 2 3 1 2 3", b"view 1 2 a", b"view 1"):
-        (tmp_path / "b.ply").write_bytes(whole.replace(b"view 3 1 0 0 0 0.5", words))
+    for words in (b"view 1 2 3 nan 5 6", b"view 1 2 3 1 2 3", b"view 1 2 a", b"view 1", b"view 1 2 3 4 5 6 7"):
+        (tmp_path / "b.ply").write_bytes(whole.replace(b"view 3 1 0 0 0 0.5 0.5", words))
         assert ViewedFile.read(tmp_path / "b.ply", None).gaussians.view == ()
+    (tmp_path / "b.ply").write_bytes(whole.replace(b" 0.5 0.5\n", b" 0.5\n"))
+    round_it = ViewedFile.read(tmp_path / "b.ply", None).gaussians
+    assert round_it.view[6] == np.pi and np.allclose(film_yaws(round_it, 4), np.pi * np.array([0, 0.5, 1, 1.5]))

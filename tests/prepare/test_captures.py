@@ -4,6 +4,8 @@ import json
 import shutil
 import struct
 import sys
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -12,12 +14,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from commands.train import read_posed
 from core.camera import look_at
 from core.errors import BadInput
-from prepare.train.capture import Lens
+from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import OPENGL_TO_OPENCV, read_capture, read_colmap
-from prepare.train.photographs import load_photograph, read_image
+from prepare.train.photographs import learned_and_tested, load_photograph, photographs_differ, read_image
 from prepare.train.structure_from_motion import find_poses, photographs_in, sharpest_frames
+from tests.support.painted_capture import write_capture
 from tests.support.splat_encoders import ply_bytes
 
 WIDTH, HEIGHT = 48, 32
@@ -195,11 +199,87 @@ def test_a_blender_dataset_brings_its_own_test_photographs_and_opacity(folder):
     p = load_photograph(capture.views[0])
     assert p.mask.all() and (p.alpha[:10] == 0).all() and (p.alpha[10:12] == 102).all() and (p.alpha[12:] == 255).all()
     assert (p.pixels[:10] == 0).all() and (p.pixels[10:12] == 80).all() and (p.pixels[12:] == 200).all()
+    assert [len(part) for part in learned_and_tested(capture, 1, 2)] == [3, 1], "its own test, not every second one"
+    assert [len(part) for part in learned_and_tested(capture, 1, 0)] == [3, 0]
     small = load_photograph(capture.views[0], 4)
     assert small.alpha.shape == small.mask.shape == (8, 12) and small.alpha[2, 0] == 51 and small.pixels[2, 0, 0] == 40
     (folder / "images" / "3.png").unlink()
     with pytest.raises(BadInput, match=r"3\.png: no such image \(1 of 4 are missing\)"):
         read_capture(folder)
+
+
+def test_polycam_raw_data_is_read_the_corrected_part_first(tmp_path):
+    """Poses in rows of t_00 ...; the border of corrected photographs does not count."""
+    frames = transforms()["frames"]
+    for kind in ("", "corrected_"):
+        (tmp_path / "keyframes" / f"{kind}cameras").mkdir(parents=True)
+        (tmp_path / "keyframes" / f"{kind}images").mkdir()
+        for k, frame in enumerate(frames):
+            pose = {f"t_{i}{j}": frame["transform_matrix"][i][j] for i in range(3) for j in range(4)}
+            lens = {"fx": 40.0, "fy": 41.0, "cx": 24.5, "cy": 15.5, "width": WIDTH, "height": HEIGHT}
+            file = tmp_path / "keyframes" / f"{kind}cameras" / f"{100 + k}.json"
+            file.write_text(json.dumps({**pose, **lens, "blur_score": 90.0, "neighbors": [1]}))
+            image = np.full((HEIGHT, WIDTH, 3), 200, np.uint8)
+            cv2.imwrite(str(tmp_path / "keyframes" / f"{kind}images" / f"{100 + k}.jpg"), image)
+    for given in (tmp_path, tmp_path / "keyframes"):
+        views = read_capture(given).views
+        assert [v.image.parts[-2:] for v in views] == [("corrected_images", f"{100 + k}.jpg") for k in range(4)]
+        for view, pose in zip(views, POSES, strict=True):
+            assert_allclose(view.world_to_camera, pose, atol=1e-9)
+    p = load_photograph(views[0])
+    assert p.mask.sum() == (WIDTH - 30) * (HEIGHT - 30) and p.mask[16, 24] and p.camera.fy == 41.0
+    shutil.rmtree(tmp_path / "keyframes" / "corrected_cameras")
+    assert load_photograph(read_capture(tmp_path).views[0]).mask.all()
+    (tmp_path / "keyframes" / "cameras" / "100.json").write_text("{}")
+    with pytest.raises(BadInput, match=r"keyframes/cameras: images/100: the pose is not a finite 4x4 matrix"):
+        read_capture(tmp_path)
+
+
+@pytest.mark.parametrize(("metadata", "images"), [("metadata.json", "rgb"), ("metadata", "rgbd")])
+def test_a_record3d_recording_is_read(tmp_path, monkeypatch, metadata, images):
+    """Quaternions with w last, K by columns; of a long recording every so manieth photograph."""
+    from core.rotation import quaternions_from_matrices
+
+    (tmp_path / images).mkdir()
+    poses = []
+    for k, pose in enumerate(POSES):
+        matrix = np.linalg.inv(pose) @ OPENGL_TO_OPENCV
+        poses.append([*np.roll(quaternions_from_matrices(matrix[:3, :3]), -1), *matrix[:3, 3]])
+        cv2.imwrite(str(tmp_path / images / f"{k}.jpg"), np.full((HEIGHT, WIDTH, 3), 200, np.uint8))
+    data = {"w": WIDTH, "h": HEIGHT, "K": [40, 0, 0, 0, 41, 0, 24.5, 15.5, 1], "poses": poses}
+    (tmp_path / metadata).write_text(json.dumps(data))
+    views = read_capture(tmp_path).views
+    assert (views[0].lens.fx, views[0].lens.fy, views[0].lens.cx, views[0].lens.cy) == (40, 41, 24.5, 15.5)
+    for view, pose in zip(views, POSES, strict=True):
+        assert_allclose(view.world_to_camera, pose, atol=1e-9)
+    data = {**data, "poses": 2 * poses, "perFrameIntrinsicCoeffs": [[50 + k, 51, 24, 16] for k in range(8)]}
+    (tmp_path / metadata).write_text(json.dumps(data))
+    with pytest.raises(BadInput, match=r"4\.png: no such image \(4 of 8 are missing\)"):
+        read_capture(tmp_path)
+    monkeypatch.setattr("prepare.train.capture_files.RECORD3D_VIEWS", 2)
+    shutil.copyfile(tmp_path / images / "0.jpg", tmp_path / images / "4.jpg")
+    with pytest.raises(BadInput, match="2 views; take at least 3"):
+        read_capture(tmp_path)
+    (tmp_path / metadata).write_text(json.dumps({**data, "poses": [[1, 2]]}))
+    with pytest.raises(BadInput, match=f"{metadata}: poses"):
+        read_capture(tmp_path)
+
+
+def test_instant_ngp_names_without_suffix_and_two_angles_of_view(folder):
+    """Keys of its scripts that say nothing here are passed over; a suffix is found, fy follows from its own angle."""
+    data = transforms(camera_angle_x=0.9, camera_angle_y=0.7, aabb_scale=16, scale=0.33, offset=[0.5, 0.5, 0.5])
+    for name in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
+        data.pop(name)
+    for frame in data["frames"]:
+        frame |= {"file_path": "./" + frame["file_path"].removesuffix(".png"), "sharpness": 30.0}
+    cv2.imwrite(str(folder / "images" / "0.jpg"), cv2.imread(str(folder / "images" / "0.png")))
+    (folder / "images" / "0.png").unlink()
+    write(folder, data)
+    capture = read_capture(folder)
+    assert [v.name for v in capture.views] == ["0.jpg", "1.png", "2.png", "3.png"]
+    lens = capture.views[0].lens
+    assert_allclose([2 * np.arctan(0.5 * WIDTH / lens.fx), 2 * np.arctan(0.5 * HEIGHT / lens.fy)], [0.9, 0.7])
+    assert (lens.cx, lens.cy) == (WIDTH / 2, HEIGHT / 2)
 
 
 def test_reduced_photographs_are_taken_from_their_folder(folder):
@@ -293,6 +373,41 @@ def test_what_is_wrong_with_a_capture_is_said_before_its_photographs_are_loaded(
     with pytest.raises(BadInput) as error:
         read_capture(folder)
     assert says in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_splat_is_first_seen_from_amid_its_cameras():
+    """All around a thing; on one side of it, one far away; and in a room, looking out."""
+
+    def view(turns, away=2.0, target=(0.0, 0.5, 0.0)):
+        eyes = [
+            (r * np.sin(t), 0.5, r * np.cos(t)) for t, r in zip(turns, np.broadcast_to(away, len(turns)), strict=True)
+        ]
+        poses = [look_at(eye, target if target else 2.0 * np.array(eye) - (0.0, 0.5, 0.0)) for eye in eyes]
+        return Capture(Path(), [View(Path(), LENSES[0], pose) for pose in poses]).photographer()
+
+    turns = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
+    assert view(turns)[6] == np.pi
+    found = view(np.pi + np.linspace(-0.7, 0.7, 9), [2.0] * 4 + [9.0] + [2.0] * 4)
+    assert_allclose(found[3:], (0.0, 0.5, 0.0, 0.7), atol=1e-6)
+    assert abs(np.arctan2(found[0], -found[2])) == pytest.approx(0.175) and np.hypot(*found[:3:2]) == pytest.approx(2.0)
+    out = view(turns, target=None)
+    assert out[6] < 0.6 and np.dot(out[3:6], out[:3]) > np.dot(out[:3], out[:3])
+
+
+def test_photographs_that_were_renamed_are_noticed(tmp_path):
+    """By the colours of the points; not if these are grey, nor with their own poses."""
+    write_capture(tmp_path)
+    capture, said = read_capture(tmp_path), []
+    assert not photographs_differ(capture)
+    read_posed(tmp_path, said.append)
+    assert not said
+    for k, view in enumerate(capture.views):
+        view.image.rename(tmp_path / f"{(k + 3) % len(capture.views):02}.png")
+    for path in tmp_path.glob("*.png"):
+        path.rename(tmp_path / "images" / path.name)
+    mixed = read_posed(tmp_path, said.append)
+    assert len(said) == 1 and "poses of another set" in said[0]
+    assert not photographs_differ(replace(mixed, colors=np.full_like(mixed.colors, 128)))
 
 
 def test_a_damaged_image_is_named(folder):

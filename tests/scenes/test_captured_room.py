@@ -19,12 +19,13 @@ from commands.prepared import prepared_stage
 from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from core.vocabulary import BodyState, Light
+from core.vocabulary import BodyState, Hand, Light
+from display.protocol import Frame
 from display.world import World
 from scenes import registry
 from scenes.manipulation import pointed_parts
 from scenes.roles import cast_bodies
-from tests.support.scripted_play import play
+from tests.support.scripted_play import blind_world, play
 
 EYE, TARGET = (0.0, 1.42, 1.15), (0.0, 0.8, 0.0)
 SMALL = {"width": 16, "height": 16}
@@ -111,6 +112,25 @@ def test_a_shadow_in_the_photographs_is_not_drawn_again(folder, ti_cpu):
 def test_what_plays_the_role_of_a_captured_object_is_not_captured(folder):
     bodies = cast_bodies(registry.load(str(folder)), (), ["ball"], None).bodies
     assert [b.captured for b in bodies[1:]] == [False, True]
+
+
+def test_nothing_moves_in_a_captured_room_until_it_is_touched(folder, ti_cpu):
+    """A ring that stands on its edge in the air, beside a wreath, for 30 s; then a hand takes it, and it falls."""
+    room, half = read_room(folder), np.sqrt(0.5)
+    leaning = replace(room.objects[0], position=(0.0, 0.4, 0.14), rotation=(half, 0.0, half, 0.0))
+    write_room(folder, replace(room, objects=(leaning, room.objects[1])))
+    world = blind_world(registry.load(str(folder)))
+    start, hand = world.device.solver.snapshot()["x"], world.bodies()[0].centroid + [0.0, 0.3, 0.0]
+    for k in range(1800):
+        world.step(Frame(1 / 60, k / 60, [], [Hand(tuple(hand))]))
+    assert np.abs(world.device.solver.snapshot()["x"] - start).max() < 1e-3
+    for k in range(60):
+        near = world.bodies()[0]
+        world.step(Frame(1 / 60, 30 + k / 60, [], [Hand(tuple(near.low), grip=k < 5, reach=0.1)]))
+    moved = np.abs(world.device.solver.snapshot()["x"] - start).max(axis=1)
+    begin = world.device.solver.vertex_offset
+    assert moved[: begin[1]].min() > 0.2 and moved[begin[1] :].max() < 1e-3
+    world.close()
 
 
 @pytest.mark.long

@@ -32,7 +32,9 @@ from sim.time_step import STABILITY_LIMIT
 # much undone: of an undamped bar of 12 x 4 x 4 cells, energy stayed within 1% at 1.1, and grew a thousandfold at 4.5.
 MAX_LAGGING_STABILITY = 1.0
 MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot; x_lo and v_lo are what float32 does not hold of x and v
-SERIAL_BELOW = 3000  # tets of the first bodies: under this, waking the CPU's worker threads costs more than they save
+# Tets of the first bodies, below which no loop of a CPU is shared: waking threads takes 30 us, and to fetch positions
+# that another core has written takes longer than to compute them where cores are far apart, 250 ns a cache line
+SERIAL_BELOW = 10_000
 FEW_BELOW = 6000  # vertices of the first bodies, of whose loops the same is true
 
 

@@ -22,7 +22,7 @@ from render.footprint import (
     tile_columns,
     tile_mask_of,
 )
-from render.radix_sort import DROPPED, item_of
+from render.radix_sort import DROPPED, item_of, key_of, value_of
 from render.splats import Splats, color_of
 
 NEAR_PLANE = 0.01  # [m] of camera z
@@ -147,6 +147,19 @@ class Projection:
                         self._set_color(v, g, c)
             sorter.items[g - begin] = item_of(key, g)
         sorter.count[None] = ti.max(end - begin, 0)
+
+    @ti.func
+    def drop_unchanged(self, sorter: ti.template()):
+        """Drop from `sorter` what touches no tile that is drawn anew; outermost level of a kernel."""
+        for k in range(sorter.count[None]):
+            i = dealt(k, sorter.count[None])
+            item = sorter.items[i]
+            if not self.changed.everywhere() and key_of(item) != ti.u32(DROPPED):
+                touched = 0
+                for v in range(self.views):
+                    touched += self.tile_count(v, value_of(item))
+                if touched == 0:
+                    sorter.items[i] = item_of(ti.u32(DROPPED), 0)
 
     @ti.func
     def _project(self, g: ti.i32):

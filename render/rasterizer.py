@@ -80,6 +80,8 @@ class Rasterizer:
     @ti.kernel
     def _order(self, begin: ti.i32, end: ti.i32, kept: ti.i32, whole: ti.i32):
         self.projection.project(begin, end, kept, whole, self.order.sorter)
+        if ti.static(self.projection.compares):
+            self.projection.drop_unchanged(self.order.sorter)
         self.order.sorter.sort()
         self.order.count_pairs()
 

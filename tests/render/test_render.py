@@ -156,6 +156,8 @@ def test_tiles_in_which_nothing_changes_keep_their_pixels(ti_cpu, sort):
         opacity[g] = 0.0 if opacity[g] > 0 else 0.8
         splats.opacity.from_numpy(opacity)
         compare()
+        sorted_splats = (r.rasterizer.order.sorter.kept[None] for r in (keeping, whole))
+        assert next(sorted_splats) < next(sorted_splats)  # those that touch no tile which is drawn anew are left out
     means[30], means[31] = np.nan, (0, 0, -50)  # behind the camera
     splats.mean.from_numpy(means)
     compare()

@@ -78,7 +78,9 @@ def run(argv: list[str]) -> int:
         check_backend()
         return (command or play)(options) or 0
     except BadInput as e:
-        print(f"vrgs: {as_called(' '.join(str(e).split()))}", file=sys.stderr)
+        from assets.library import with_sources
+
+        print(f"vrgs: {as_called(with_sources(' '.join(str(e).split())))}", file=sys.stderr)
         return 2
     except (MemoryError, RuntimeError) as e:
         from core.runtime import failure_line

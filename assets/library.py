@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 SHIPPED_FOLDER = Path(__file__).resolve().parent / "data"
 _searched = [SHIPPED_FOLDER]  # folders of named assets, in turn
+_sources: dict[str, str] = {}  # the user's file, by the path in the cache of what is made of it
 
 
 def is_asset(name: str) -> bool:
@@ -104,7 +105,16 @@ def cached_asset(source: Path, options: dict) -> Path:
             digest.update(block)
     name = f"{source.stem}-{digest.hexdigest()[:16]}.h5"
     kept = cache_folder() / name
-    return kept if os.path.isfile(kept) else writable_cache(cache_folder()) / name  # Path.is_file may raise
+    kept = kept if os.path.isfile(kept) else writable_cache(cache_folder()) / name  # Path.is_file may raise
+    _sources[str(kept)] = str(source)
+    return kept
+
+
+def with_sources(text: str) -> str:
+    """A message with the files that the user gave in place of the assets in the cache that were made of them."""
+    for kept, source in _sources.items():
+        text = text.replace(kept, source)
+    return text
 
 
 @cache

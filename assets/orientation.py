@@ -71,9 +71,10 @@ def alternatives(probabilities: dict[str, float]) -> list[str]:
     return [up for up in ranked if probabilities[up] >= ALTERNATIVE_MIN]
 
 
-def describe_guess(up: str, confidence: float) -> str:
-    """A guess in words, for the terminal."""
-    return f"{up} (guessed, {confidence:.0%} sure; --up overrides)"
+def describe_guess(up: str, probabilities: dict[str, float]) -> str:
+    """A guess in words, for the terminal; without probabilities cameras have told the up axis."""
+    how = f"guessed, {probabilities[up]:.0%} sure" if probabilities else "as its cameras stand"
+    return f"{up} ({how}; --up overrides)"
 
 
 def question(probabilities: dict[str, float], pictures: Path | None = None) -> str:

@@ -287,8 +287,8 @@ def environment_summary(asset: Asset) -> list[str]:
     return [*lines, f"{p['seconds']:.1f} s"]
 
 
-def _up_axis(provenance: dict) -> str:
-    return provenance["up"] if provenance["options"]["up"] else describe_guess(provenance["up"], provenance["up_sure"])
+def _up_axis(p: dict) -> str:
+    return p["up"] if p["options"]["up"] else describe_guess(p["up"], p["up_probabilities"])
 
 
 def _front(front: dict | None) -> list[str]:
@@ -302,6 +302,6 @@ def _front(front: dict | None) -> list[str]:
     return [f"front: the file's, as {how}; in play , and . turn it and Ctrl+K keeps that, or --front DEG"]
 
 
-def _size(provenance: dict) -> str:
-    guessed = "" if provenance["options"]["scale"] else " (guessed; --scale overrides)"
-    return f"{provenance['size']:.3g} m{guessed}"
+def _size(p: dict) -> str:
+    how = "guessed" if p["up_probabilities"] else "from its cameras' height"
+    return f"{p['size']:.3g} m" + ("" if p["options"]["scale"] else f" ({how}; --scale overrides)")

@@ -217,7 +217,7 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     turned = {
         "up": up,
         "up_sure": round(chances[up], 2),
-        "up_probabilities": {other: round(p, 3) for other, p in chances.items()},
+        "up_probabilities": {} if seen is not None else {other: round(p, 3) for other, p in chances.items()},
         "lean": round(float(np.degrees(np.arccos(np.clip(rotation[1] @ AXES[up], -1, 1)))), 2),  # [degrees]
         "size": size,
         "metres_per_unit": factor,

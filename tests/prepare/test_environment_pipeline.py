@@ -110,7 +110,9 @@ def test_a_garden_whose_cameras_are_known_has_their_scale_and_is_seen_from_them(
         for k, (x, a) in enumerate(zip(eyes, axes, strict=True))
     ]
     (tmp_path / "cameras.json").write_text(json.dumps(entries))
-    prepare_environment_file(folder / "point_cloud.ply", tmp_path / "garden.h5", EnvironmentOptions(cell=0.1))
+    splats, said = folder / "point_cloud.ply", []
+    prepare_environment_file(splats, tmp_path / "garden.h5", EnvironmentOptions(cell=0.1), report=said.append)
+    assert any("as its cameras stand" in line for line in said) and not any("guessed" in line for line in said)
     asset = Asset.load(tmp_path / "garden.h5")
     assert_allclose(asset.provenance["metres_per_unit"], 1 / units, rtol=0.03)
     eye, drop = (np.array(p) for p in (asset.environment.eye_position, asset.environment.drop_point))

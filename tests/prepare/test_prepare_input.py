@@ -9,6 +9,7 @@ import pytest
 import vrgs
 from assets.asset import Asset
 from assets.gaussians import concatenate, robust_bounds
+from assets.library import with_sources
 from assets.splat_files import write_gaussians
 from commands.options import Preparation
 from commands.prepared import cached_body, wanted_vertices
@@ -90,6 +91,7 @@ def test_without_a_number_the_cage_suits_the_device_and_a_line_says_so(prepared,
     assert cached_body(tmp_path / "ball.ply", Preparation(), "cpu") == (kept, least)
     assert cached_body(tmp_path / "ball.ply", Preparation(vertices=least), "cpu") == (kept, least)  # as a state asks
     assert device_vertices(animated=True)[0] > least
+    assert with_sources(f"{kept}: has no cage") == f"{tmp_path / 'ball.ply'}: has no cage"  # as the user named it
 
 
 def test_a_shape_that_has_no_cage_of_so_few_vertices_gets_one_of_more(ti_cpu, tmp_path):

@@ -11,6 +11,7 @@ from time import perf_counter
 
 import numpy as np
 
+from assets.library import with_sources
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.material import Material
@@ -87,6 +88,7 @@ class World(WorldView):
         self.cameras: list[Camera] = []  # of the last picture
         self._drawn: tuple | None = None  # cameras of the picture; None if it is outdated
         self._commanding = self._deform_due = False  # while commands are carried out, before bodies are deformed anyway
+        self._shadow_is_old = False  # what moved was not cast, which is made up for in the next frame
         self.refresh()
 
     def warm_up(self) -> None:
@@ -116,11 +118,13 @@ class World(WorldView):
         launched = self._launch(frame) if simulates else None
         props_moved = self._place_props(frame.prop_poses)
         if deforms:
-            self._deform()
+            self._deform(moving=not self._deform_due)
         self.moving = launched is not None and self._moved(launched)
         if self.moving and not deforms:
-            self._deform()
+            self._deform(moving=True)
         elif props_moved and not deforms:
+            self._shade_motion()
+        if self._shadow_is_old and not self.moving and not props_moved:
             self._cast_shadow()
         self._hands = frame.hands
         if any(isinstance(c, (cmd.Settle, cmd.SaveState)) for c in frame.commands):
@@ -194,14 +198,25 @@ class World(WorldView):
             if self.scene.game is None or self.time >= self.scene.game.duration:
                 self._end_demo()
 
-    def _deform(self) -> None:
+    def _deform(self, *, moving: bool = False) -> None:
         self._deform_due = False
         with self.timings.stage("embed"):
             self.device.deform()
-        self._cast_shadow()
+        if moving:
+            self._shade_motion()
+        else:
+            self._cast_shadow()
+
+    def _shade_motion(self) -> None:
+        """Cast the shadows of what moves; on a CPU, where that takes as long as a picture, in every second frame."""
+        self._drawn = None
+        if self._shadow_is_old or self.device.shadow is None or self.device.shadow.on_gpu:
+            self._cast_shadow()
+        else:
+            self._shadow_is_old = True
 
     def _cast_shadow(self) -> None:
-        self._drawn = None
+        self._drawn, self._shadow_is_old = None, False
         with self.timings.stage("shadow"):
             self.device.cast_shadow()
 
@@ -396,7 +411,7 @@ class World(WorldView):
         return self.room.middle if self.room.own is not None else None
 
     def tell(self, text: str) -> None:
-        self.editor.notice.tell(text)
+        self.editor.notice.tell(with_sources(text))
 
     def hand_forces(self) -> list[np.ndarray]:
         return self.device.solver.hand_forces()

@@ -130,6 +130,23 @@ def test_the_frame_of_an_edit_deforms_and_casts_once(play, monkeypatch):
         assert (play.picture() != before).any() == (command != cmd.Undo())
 
 
+def test_a_cpu_casts_the_shadows_of_what_moves_in_every_second_frame_and_once_more_at_the_end(play, monkeypatch):
+    device, casts = play.world.device, []
+    cast, visibility = device.cast_shadow, device.splats.visibility
+    play.step(150)
+    monkeypatch.setattr(device, "cast_shadow", lambda: (casts.append(1), cast()))
+    play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
+    casts.clear()
+    for k in range(10):
+        play.step(1, Hand((0.15, 0.02 + 0.003 * k, 0.08), grip=True))
+    assert play.world.moving and len(casts) == (10 if device.shadow.on_gpu else 5)
+    play.step(150)
+    shown = visibility.to_numpy()
+    cast()
+    assert not play.world.moving
+    assert_array_equal(visibility.to_numpy(), shown)
+
+
 def test_the_game_sees_the_scenes_own_bodies_only(play):
     play.do(cmd.Duplicate(RED))
     play.do(cmd.Remove(RED))

@@ -22,6 +22,7 @@ SCRIPT = (
     ("rabbit", 1 / 1.45),
     ("fox", 1.0),
 )  # animals that the scripted hands place, and their factors of size
+BACK = 0.25  # height of a back over the centroid, by that of the ears
 SETTLE_TIME = 1.2  # [s] between the last of these and the first stroke
 
 
@@ -79,8 +80,9 @@ class AnimalCrossing:
         if t < 0.0:
             self.taken = bodies[0]
             return [Hand(tuple(bodies[0].centroid + [0.0, 0.6, 0.3])) for _ in range(2)]
-        back = np.array([self.taken.centroid[0], self.taken.high[1] - 0.06, self.taken.centroid[2]])
-        stroke = back + np.array([0.035 * np.sin(2 * np.pi * t / 0.6), -0.01, 0.0])
+        middle = self.taken.centroid
+        back = middle + [0.0, BACK * (self.taken.high[1] - middle[1]), 0.0]
+        stroke = back + np.array([0.035 * np.sin(2 * np.pi * t / 0.6), 0.0, 0.0])
         return [Hand(tuple(stroke), grip=0.2 < t < 1.3, reach=0.12), Hand(tuple(back + [0.3, 0.4, 0.3]))]
 
     @property

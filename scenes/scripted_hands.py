@@ -10,6 +10,7 @@ from scenes.scene import BodyState, Hand, Vec3
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 STEADY_TIME = 0.1  # [s] at the velocity of the throw: a released body flies on with the hand's mean velocity
+TO_SIDE = 1.9  # reach of a hand in a body that is drawn at its side, by the way there: see GRASP_DEPTH of the avatar
 PLACING_TIME = 1.4  # [s] that `placing_hands` take
 TIME_ROUNDING = 1e-6  # [s]; the frame that ends at the release still holds on, whatever its time was summed from
 
@@ -111,7 +112,7 @@ class Carry:
 
 
 def placing_hands(body: BodyState, place: Vec3, factor: float, t: float) -> list[Hand]:
-    """Two hands that put a standing body down at `place` and scale it by `factor`.
+    """Two hands that put a standing body down at `place` and scale it by `factor`; their reach is to its side.
 
     `t` is the time [s] since the start, `body` the state at the start.
     """
@@ -119,5 +120,7 @@ def placing_hands(body: BodyState, place: Vec3, factor: float, t: float) -> list
     s = ease((t - 0.3) / 0.8)
     way = np.array(place) + [0.0, factor * (middle - body.low[1]), 0.0] - body.centroid
     at = np.array([x, middle + 0.35 * np.sin(np.pi * s), z]) + s * way
-    apart = 0.06 * (1 + (factor - 1) * s)
-    return [Hand(tuple(at + [0.0, 0.0, d]), grip=0.2 < t < 1.25, reach=0.2) for d in (-apart, apart)]
+    size = 1 + (factor - 1) * s
+    apart, half = 0.06 * size, 0.5 * (body.high[2] - body.low[2]) * size
+    grips = 0.2 < t < 1.25
+    return [Hand(tuple(at + [0.0, 0.0, d]), grip=grips, reach=TO_SIDE * (half - d)) for d in (-apart, apart)]

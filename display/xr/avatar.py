@@ -35,7 +35,7 @@ MAX_SCALE, MIN_SCALE = 1.6, 0.6  # of a bone's length and thickness, against the
 TARGET_HEIGHT = 0.03  # [m] over the floor, on which a carpet may lie
 HOLDING = (0.5, 0.42, 0.42, 0.46, 0.5)  # bend of each finger of a scripted hand that holds something, thumb first
 SHOULDERS = np.array([[-0.2, -0.3, 0.1], [0.2, -0.3, 0.1]])  # [m] of a scripted player, from the eye: right, up, back
-GRASP_DEPTH, MAX_GRASP_DEPTH = 0.6, 0.1  # of a hand's reach, [m]: how far what it holds is from its fingers
+GRASP_DEPTH, MAX_GRASP_DEPTH = 0.6, 0.3  # of a hand's reach, [m]: how far what it holds is from its fingers
 
 
 def skins() -> list[Skin]:

@@ -6,14 +6,27 @@ from numpy.testing import assert_allclose
 
 from core.errors import BadInput
 from core.vocabulary import BodyState
+from display.xr import avatar
 from scenes import animal_crossing, manipulation, registry
 from scenes.manipulation import PULL_TIME, REST_TIME, SETTLE_TIME
 from tests.support.scripted_play import play
 
 
 def test_two_hands_place_an_animal_and_draw_it_larger(ti_cpu):
-    scene = registry.load("animal_crossing")
-    world = play(scene, seconds=animal_crossing.PLACING_TIME)
+    """The hands are drawn on the bear's side, and are not hidden in it."""
+    scene, inside = registry.load("animal_crossing"), []
+
+    def seen(time, world):
+        if 0.3 < time < 1.2 and round(60 * time) % 10 == 0:
+            poses = avatar.scripted_poses(world.scripted_hands(time), scene.eye, scene.target)
+            for skin in avatar.scripted_skins():
+                x = np.c_[skin.gaussians.means, np.ones(len(skin.part))][::20]
+                for at in np.einsum("nk,nkij,nj->ni", skin.weight[::20], poses[skin.part[::20]], x):
+                    hit = world.device.solver.pick(scene.eye, at - scene.eye)
+                    inside.append(hit is not None and hit[0] < np.linalg.norm(at - scene.eye))
+
+    world = play(scene, seconds=animal_crossing.PLACING_TIME, each=seen)
+    assert len(inside) > 100 and np.mean(inside) < 0.05
     bear = list(animal_crossing.ANIMALS).index("bear")
     assert scene.game.guests[bear].placed and scene.game.score == 1
     assert_allclose(world.device.solver.body_models[bear].shape.factor, 1 / 0.62, rtol=0.02)

@@ -7,7 +7,7 @@ simulation, at the start of drawing; the time from there to the finished picture
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from time import perf_counter
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from core.camera import Camera, look_at
 from core.fields import destroy_fields
 from core.runtime import keep_compiled_kernels
+from core.vocabulary import Hand
 from display.protocol import Frame
 from display.timing import Timings
 from display.world import World
@@ -37,11 +38,12 @@ class StereoPlay:
     frame_ms, photon_ms  of each frame since `start`: all of it, and from where the head is located to its end
     """
 
-    def __init__(self, scene: Scene, size: tuple[int, int] = EYE_SIZE) -> None:
+    def __init__(self, scene: Scene, size: tuple[int, int] = EYE_SIZE, *, reserve: Sequence[str] = ()) -> None:
         self.scene, self.size = scene, size
         hands = avatar.skins()
         self.hand_gaussians = sum(len(skin.gaussians) for skin in hands)
-        self.world = World(scene, width=size[0], height=size[1], views=2, fingers=True, props=hands)
+        view = {"width": size[0], "height": size[1], "views": 2}
+        self.world = World(scene, **view, reserve=reserve, fingers=True, props=hands)
         self.world.script_dt = 1 / RATE  # each frame is simulated, as with hands of a player's
         self.world.warm_up()
         self.frame_ms: list[float] = []
@@ -65,9 +67,10 @@ class StereoPlay:
         for _ in range(frames):
             if self.scene.game is not None and self.world.time > self.scene.game.duration:
                 self.world.reset()
-            self._frame(present)
+            self.frame(present)
 
-    def _frame(self, present: Callable[[], None]) -> None:
+    def frame(self, present: Callable[[], None], hands: list[Hand] | None = None, commands: Sequence = ()) -> None:
+        """Play a frame with these hands (None: the scripted player's) and commands."""
         k, located = self._count, perf_counter()
 
         def cameras() -> list[Camera]:
@@ -79,8 +82,8 @@ class StereoPlay:
         poses = avatar.hidden()
         for h, controller in enumerate(self.controllers(k)):
             avatar.show_hand(poses, h, controller, np.eye(4), 0.0)
-        hands = self.world.scripted_hands(self.world.time)
-        self.world.step(Frame(1 / RATE, k / RATE, cameras, hands, [], prop_poses=poses))
+        hands = self.world.scripted_hands(self.world.time) if hands is None else hands
+        self.world.step(Frame(1 / RATE, k / RATE, cameras, hands, list(commands), prop_poses=poses))
         with self.world.timings.stage("present"):
             present()
         end = perf_counter()

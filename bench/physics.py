@@ -30,6 +30,11 @@ AGREEMENT_SUBSTEPS = 128  # a whole number of launches on both devices; 100 beco
 BENT_BAR_LENGTH = 0.3  # [m]
 MOST_APART = 1e-5  # of that length: a hundred float32 roundings in a different order
 MOST_APART_CONTACTS = 1e-3  # roundings decide which contacts stick: starts 3e-8 m apart end 1.3e-4 m apart
+# Bars that swing: size [m], cells, stretch, angle [rad] by which the end is turned
+SWINGS = (
+    ("stretched bar's", (0.2, 0.08, 0.08), (12, 5, 5), 1.07, 0.6),
+    ("bent bar's", (0.3, 0.06, 0.06), (16, 4, 4), 1.05, 1.0),
+)
 DOWN = (np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5))  # turns +x to -y
 
 
@@ -127,31 +132,33 @@ def statics() -> list[dict]:
     pinned = np.r_[LEFT, RIGHT]
     u = fem_solve(K, np.zeros_like(BAR), pinned, turned[pinned])
     reference = np.cross(BAR[RIGHT], (K @ u.ravel()).reshape(-1, 3)[RIGHT]).sum(0)[0]
-    force = elastic_forces(BAR, x[4] - [0, 0, 6], TETS, young, 0.3)
+    force = elastic_forces(BAR, TETS, young, 0.3)(x[4] - [0, 0, 6])
     measured = -np.cross(x[4][RIGHT] - [0, 0, 6], force[RIGHT]).sum(0)[0]
     rows.append(row("twist, torque [N m]", reference, measured, 0.02))
     return rows
 
 
-def elastic_forces(vertices: np.ndarray, x: np.ndarray, tets: np.ndarray, young: float, poisson: float) -> np.ndarray:
-    """Forces [N] on vertices at x (V, 3) of a body with this rest shape, in float64.
+def elastic_forces(vertices: np.ndarray, tets: np.ndarray, young: float, poisson: float):
+    """Function of positions x (V, 3) that gives the forces [N] on a body of this rest shape, in float64.
 
     The energy is that of sim/elastic/energy.py without its last term, which is 0 unless a tet is crushed.
     """
     mu = young / (2 * (1 + poisson))
     lam = mu + young * poisson / ((1 + poisson) * (1 - 2 * poisson))
-    before, now = (np.swapaxes(p[tets[:, 1:]] - p[tets[:, :1]], 1, 2) for p in (vertices, x))
-    B = np.linalg.inv(before)
-    F, volume = now @ B, np.linalg.det(before) / 6
-    f1, f2, f3 = F[:, :, 0], F[:, :, 1], F[:, :, 2]
-    cofactor = np.stack([np.cross(f2, f3), np.cross(f3, f1), np.cross(f1, f2)], 2)
-    J = np.linalg.det(F)
-    P = mu * F + (lam * (J - 1) - mu)[:, None, None] * cofactor
-    g = volume[:, None, None] * P @ np.swapaxes(B, 1, 2)
-    force = np.zeros_like(vertices, dtype=np.float64)
-    np.subtract.at(force, tets[:, 1:], np.swapaxes(g, 1, 2))
-    np.add.at(force, tets[:, 0], g.sum(2))
-    return force
+    D = np.swapaxes(vertices[tets[:, 1:]] - vertices[tets[:, :1]], 1, 2)
+    B, T = np.linalg.inv(D), len(tets)
+    g = np.concatenate([-B.sum(1, keepdims=True), B], axis=1)  # (T, 4, 3) gradients of the shape functions
+    where, shape = (np.repeat(np.arange(T), 4), tets.ravel()), (T, len(vertices))
+    gradient = sp.vstack([sp.csr_matrix((g[..., k].ravel(), where), shape) for k in range(3)]).tocsr()
+    back = (gradient.T @ sp.diags(np.tile(np.linalg.det(D) / 6, 3))).tocsr()
+
+    def forces(x: np.ndarray) -> np.ndarray:
+        F = (gradient @ x).reshape(3, T, 3)  # columns
+        cofactor = np.cross(F[[1, 2, 0]], F[[2, 0, 1]])
+        J = (F[0] * cofactor[0]).sum(1)
+        return -back @ (mu * F + (lam * (J - 1) - mu)[:, None] * cofactor).reshape(3 * T, 3)
+
+    return forces
 
 
 def fem_stiffness(x: np.ndarray, tets: np.ndarray, young: float, poisson: float) -> sp.csr_matrix:
@@ -307,6 +314,48 @@ def decay() -> list[dict]:
             ret = min(b.material.damping / RAYLEIGH_FREQUENCY**2, solver.stats["dt"])
             reference = b.material.damping + ret * w**2
             rows.append(row(f"decay of a {b.name} vibration ({integrator}) [1/s]", reference, rate, 0.05))
+    return rows
+
+
+def bent(x: np.ndarray, length: float, stretch: float, angle: float) -> np.ndarray:
+    """A bar x (V, 3) from 0 to `length` [m] along x, stretched, and curled so that its end has turned by `angle`."""
+    u = np.linspace(0, 1, 2001)
+    middle = angle * ((u[:-1] + u[1:]) / 2) ** 2
+    line = np.stack([np.cos(middle), np.sin(middle)], 1).cumsum(0) * stretch * length / 2000
+    along, turned = x[:, 0] / length, angle * (x[:, 0] / length) ** 2
+    center = [np.interp(along, u, np.r_[0, line[:, k]]) for k in range(2)]
+    return np.stack([center[0] - np.sin(turned) * x[:, 1], center[1] + np.cos(turned) * x[:, 1], x[:, 2]], 1)
+
+
+def swings(seconds: float = 1.0) -> list[dict]:
+    """Undamped bars, pinned at one end and let go bent and stretched, against a velocity Verlet of 1/60,000 s.
+
+    Root mean square of the vertices' distances from there, relative to that of their first displacement.
+    """
+    step, rows = 1 / 60_000, []
+    for name, size, cells, stretch, angle in SWINGS:
+        x, tets, surface = box(size, cells)
+        x = x - [0, size[1] / 2, size[2] / 2]
+        pinned, start = np.flatnonzero(x[:, 0] == 0), bent(x, size[0], stretch, angle)
+        b = SoftBody(name, x, tets, surface, Material(2e5, 0.3, DENSITY, damping=0.0), pinned=pinned)
+        solvers = {k: Solver([b], gravity=(0, 0, 0), contacts=False, integrator=k) for k in ("xpbd", "vbd")}
+        for solver in solvers.values():
+            solver.restore({"x": start, "v": 0 * x})
+        forces, inverse_mass = elastic_forces(x, tets, b.material.young, 0.3), 1 / b.masses()[:, None]
+        inverse_mass[pinned] = 0.0
+        true, v, a, frames = start.copy(), 0 * x, inverse_mass * forces(start), 0
+        for end in (0.1, seconds):
+            for _ in range(round((end - frames / 60) / step)):
+                v += step / 2 * a
+                true += step * v
+                a = inverse_mass * forces(true)
+                v += step / 2 * a
+            for integrator, solver in solvers.items():
+                for _ in range(round(60 * end) - frames):
+                    solver.step(1 / 60)
+                off = np.linalg.norm(positions(solver)[0] - true) / np.linalg.norm(start - x)
+                rows.append(at_most(f"{name} swing ({integrator}), off after {end:g} s", 0.1, off))
+            frames = round(60 * end)
     return rows
 
 

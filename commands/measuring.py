@@ -32,6 +32,7 @@ SUBJECTS = {  # module, options that it takes, and what it measures
     "render": ("bench.render_speed", "gaussians size rounds", "a headset's picture, both eyes"),
     "frame": ("bench.frame_time", "", "a headset's whole frame, ring toss"),
     "demos": ("bench.demos", "names detail frames quick size", "the paper's nine demos, beside its figures"),
+    "hitches": ("bench.hitches", "names size", "the worst frame of each thing that one does, in every scene"),
     "train": (
         "bench.training_speed",
         "names variants steps at cap seed reduce test_every",
@@ -64,10 +65,10 @@ class BenchOptions(cli.Options):
         if name != "names"
     )
 
-    subject: Literal["sim", "scene", "render", "frame", "demos", "train"] = cli.argument(
+    subject: Literal["sim", "scene", "render", "frame", "demos", "hitches", "train"] = cli.argument(
         None, "; ".join(f"{name}: {what}" for name, (_, _, what) in SUBJECTS.items())
     )
-    names: list[str] = cli.argument("NAME", "demos: which (default: all that are there); train: captures", [])
+    names: list[str] = cli.argument("NAME", "demos, hitches: which (default: all that are there); train: captures", [])
     detail: cli.Detail = cli.option(None, "demos: assets as shipped, or at the paper's sizes", "shipped")
     sizes: list[str] | None = cli.option("N", "vertices; sim: of 1.7k 9.3k 24k 46k; scene: any (default 10k 20k 46k)")
     asset: list[str] | None = cli.option("FILE", "scene: shipped bodies by name, or splat files (default: a few toys)")
@@ -76,7 +77,7 @@ class BenchOptions(cli.Options):
     frames: cli.Count | None = cli.option("N", "scene, demos: a row (default 1000; quick 240, 30)")
     quick: bool = cli.switch("scene: one row, 2 s; demos: few frames")
     gaussians: list[RoomSize] = cli.option(None, "render: rooms (default: all)", list(get_args(RoomSize)))
-    size: cli.Size = cli.option("WxH", "render, demos: picture of an eye (default 1800x1920)", (1800, 1920))
+    size: cli.Size = cli.option("WxH", "render, demos, hitches: picture of an eye (default 1800x1920)", (1800, 1920))
     rounds: cli.Count = cli.option("N", "sim, render: frames measured (default 12)", 12)
     steps: cli.Count | None = cli.option("N", "train: steps (default 30000 on a GPU, 3000 on a CPU)")
     at: list[cli.Count] = cli.option("N", "train: steps after which it is tested as well (default 7000)", [7000])

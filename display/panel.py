@@ -404,7 +404,9 @@ def readable(value: float) -> float:
 
 def frame_lines(timings: Timings) -> list[str]:
     """Lines about the frames: the longest, missed ones, time not simulated, and from the head's motion to light."""
-    lines = [f"longest frame {1e3 * timings.worst:.0f} ms, {timings.missed:,} missed"]
+    stage, seconds = max(timings.worst_stages.items(), key=lambda s: s[1], default=("", 0.0))
+    cause = f" ({stage} {1e3 * seconds:.0f})" if stage else ""
+    lines = [f"longest frame {1e3 * timings.worst:.0f} ms{cause}, {timings.missed:,} missed"]
     if timings.to_light is not None:
         lines.append(f"from motion to light {1e3 * timings.to_light:.0f} ms")
     if timings.dropped >= 0.1:

@@ -31,6 +31,7 @@ class Timings:
     missed   frames that took more than 1.5 budgets, or as many as a headset reports
     dropped  time that has passed and was never simulated
     photon   from reading the head's pose to the light of its picture
+    worst    the longest frame;   worst_stages  {stage: [s]} in it;   in_frame  the same since the last frame's end
     """
 
     def __init__(self, *, exact: bool = False, budget: float = 1 / 60):
@@ -40,6 +41,7 @@ class Timings:
         self._samples: dict[str, deque[float]] = {}
         self._frames: deque[float] = deque(maxlen=HISTORY_LENGTH)
         self._mark: float | None = None
+        self.worst, self.worst_stages, self.in_frame = 0.0, dict[str, float](), dict[str, float]()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -54,6 +56,7 @@ class Timings:
 
     def add(self, name: str, seconds: float) -> None:
         """Record one duration [s] of a stage; the first, which compiles its kernels, is kept apart."""
+        self.in_frame[name] = self.in_frame.get(name, 0.0) + seconds
         if name not in self._first:
             self._first[name], self._samples[name] = seconds, deque(maxlen=HISTORY_LENGTH)
         else:
@@ -70,21 +73,18 @@ class Timings:
         if self._mark is not None:
             self._frames.append(now - self._mark)
             self.missed += now - self._mark > 1.5 * self.budget if missed is None else missed
-        self._mark = now
+            if now - self._mark > self.worst:
+                self.worst, self.worst_stages = now - self._mark, self.in_frame
+        self._mark, self.in_frame = now, {}
 
     def rest(self) -> None:
         """The display sleeps (say, is minimised): the next frame's interval does not count."""
-        self._mark = None
+        self._mark, self.in_frame = None, {}
 
     @property
     def fps(self) -> float:
         """Mean frames per second over the history, 0 before the second frame."""
         return len(self._frames) / sum(self._frames) if self._frames else 0.0
-
-    @property
-    def worst(self) -> float:
-        """The longest frame of the history [s], 0 before the second frame."""
-        return max(self._frames, default=0.0)
 
     @property
     def to_light(self) -> float | None:
@@ -177,6 +177,7 @@ def run_stats(world, frames: int) -> dict:
         **world.stats(),
         "missed_frames": timings.missed,
         "worst_frame_ms": 1e3 * timings.worst,
+        "worst_frame_stages_ms": {name: 1e3 * t for name, t in timings.worst_stages.items()},
         "dropped_seconds": timings.dropped,
         **light,
         "peak_memory_mb": peak_memory_mb(),

@@ -136,9 +136,12 @@ class World(WorldView):
         """Carry out the frame's commands, and keep the size given to a body by two hands that have let go of it."""
         self.editor.begin_frame()
         scaled = self.device.solver.take_scaling()
+        commands = [*([] if scaled is None else [cmd.Rescale(*scaled)]), *commands]
         self._commanding = True
         try:
-            self.apply([*([] if scaled is None else [cmd.Rescale(*scaled)]), *commands])
+            if commands:
+                with self.timings.stage("commands"):
+                    self.apply(commands)
         finally:
             self._commanding = False
 

@@ -7,10 +7,10 @@ smaller than one unit in the last place of a position:
     solve     dx += corrections of elasticity and constraints (sim/elastic/substep.py)
     commit    v += dt g + (dx - dx_predicted) / dt,   y = dt v + x_lo,   x' = x + y,   x_lo = y - (x' - x)
 
-The stress is evaluated at x + dx - lag v. With lag = 0 the methods are implicit Euler or like it: vibrations of w rad/s
-lose energy at the rate w^2 dt, and a spinning body its spin, whatever the material. With lag = dt they keep energy and
-momenta: XPBD's single sweep is symplectic Euler then, VBD the Newmark scheme of beta = 1, gamma = 1/2. Between, the
-Kelvin-Voigt time of the material's inner friction is dt - lag.
+The stress is evaluated at x + share dx - lag v. With share = 1, lag = 0 the methods are implicit Euler or like it:
+vibrations of w rad/s lose energy at the rate w^2 dt, and a spinning body its spin, whatever the material. With
+share = beta, lag = beta dt they keep energy and momenta: XPBD's single sweep is symplectic Euler then, VBD the Newmark
+scheme of this beta and gamma = 1/2. Between, the Kelvin-Voigt time of the inner friction is share dt - lag.
 
 The position in the substep in progress is x + dx, and the motion of a vertex in it so far, for friction, is dx - x_lo.
 Vertices of inverse mass 0 are prescribed and move on with their v.
@@ -28,9 +28,10 @@ from core.fields import Download, FieldGroup, Upload, round_up_capacity, two_sum
 from sim.model import MAX_BODIES, Capacity, Model, Sizes, fit
 from sim.time_step import STABILITY_LIMIT
 
-# dt sqrt(max kappa) up to which the stress may lag, three times what XPBD bears. Beyond, the sweeps of VBD leave too
-# much undone: of an undamped bar of 12 x 4 x 4 cells, energy stayed within 1% at 1.1, and grew a thousandfold at 4.5.
-MAX_LAGGING_STABILITY = 1.0
+NEWMARK_BETA = 0.25  # the trapezoidal rule; less is not stable at every dt, more makes vibrations slower
+# dt sqrt(max kappa) up to which the stress may lag, seven times what XPBD bears. Beyond, the sweeps of VBD leave too
+# much undone: of undamped bars of 8 x 3 x 3 cells, energy stayed within 5% at 2.5, and grew a millionfold at 3.
+MAX_LAGGING_STABILITY = 2.2
 MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot; x_lo and v_lo are what float32 does not hold of x and v
 # Tets of the first bodies, below which no loop of a CPU is shared: waking threads takes 30 us, and to fetch positions
 # that another core has written takes longer than to compute them where cores are far apart, 250 ns a cache line
@@ -90,7 +91,8 @@ class State:
         self.speed_limit = g.scalar(B)  # of this frame's substeps [m/s]
         self.untangling = g.scalar(B, dtype=ti.i32)  # 1 while it is moved to its rest shape, through itself
         self.inverted = g.scalar(B, dtype=ti.i32)  # bit 0 is set by elasticity where a tet is inverted
-        self.stress_lag = g.scalar(B)  # time [s] of this frame's substeps whose motion the stress does not see
+        # 1 - share, and lag [s], of this frame; of damped bodies exactly 0: what rounding moves in stiff ones flickers
+        self.stress_point = g.vector(B, n=2)
         self.asleep = g.scalar(B, dtype=ti.i32)  # 1 while it is not simulated (sim/sleeping.py)
         self.rest_time = g.scalar(B)  # since when it has been at rest [s]
         # The frame
@@ -134,9 +136,9 @@ class State:
         return self.x[i] + self.dx[i]
 
     @ti.func
-    def strain_increment(self, i, lag):
-        """Increment of vertex i at which the stress is evaluated [m], `lag` being the body's stress_lag."""
-        return self.dx[i] - lag * self.v[i]
+    def strain_increment(self, i, point):
+        """Increment of vertex i at which the stress is evaluated [m], `point` being the body's stress_point."""
+        return self.dx[i] - (point[0] * self.dx[i] + point[1] * self.v[i])
 
     @ti.func
     def awake_vertex(self, i):
@@ -215,8 +217,10 @@ class State:
             # A longer substep, of VBD, makes no body slower: its own elements do not limit how fast it may fly
             stable = STABILITY_LIMIT / ti.sqrt(ti.max(self.kappa[b], 1e-12))
             self.speed_limit[b] = self.max_step[b] / ti.min(dt, stable)
-            converges = dt * ti.sqrt(self.kappa[b]) <= MAX_LAGGING_STABILITY
-            self.stress_lag[b] = ti.max(dt - self.retardation[b], 0.0) if converges else 0.0
+            lag = 0.0
+            if dt * ti.sqrt(self.kappa[b]) <= MAX_LAGGING_STABILITY:
+                lag = NEWMARK_BETA * ti.max(dt - self.retardation[b], 0.0)
+            self.stress_point[b] = ti.Vector([(1.0 / NEWMARK_BETA - 1.0) * lag / dt, lag])
 
 
 def motion_of(snapshot: dict, vertices: int) -> list[np.ndarray]:

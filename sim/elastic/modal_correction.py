@@ -5,9 +5,9 @@ whole. The modes do: those of the body embedded in a coarse lattice of trilinear
 than the body itself), the six rigid ones included unless vertices are prescribed.
 
 With the residual force f_i of every vertex (elastic, inertial, and of its contacts as they are), the body's best-fit
-rotation R and modes U_k of squared frequency w_k, all at the substep's dt,
+rotation R and modes U_k of squared frequency w_k, all at the substep's dt and its share s (sim/state.py),
 
-    q_k = sum_i U_ki . R^T f_i / (1/dt^2 + w_k),   d_i = R sum_k q_k U_ki,   dx_i += a d_i,
+    q_k = sum_i U_ki . R^T f_i / (1/dt^2 + s w_k),   d_i = R sum_k q_k U_ki,   dx_i += a d_i,
 
     b = f . d / (f . d + h),   a = b f . d / (f . d - f(dx + b d) . d + b h)  in [0, b],   h = sum_i c_i |d_i|^2:
 
@@ -269,7 +269,9 @@ class ModalCorrection:
         """q_k of body b, at bk = b * MODES + k."""
         total = self._sum_of_blocks(self.mode_sums, bk // MODES, bk % MODES, lane)
         if lane == 0:
-            self.amplitude[bk] = total / (1.0 / self.state.dt[None] ** 2 + self.frequency_sqr[bk])
+            s = self.state
+            stiffness = (1.0 - s.stress_point[bk // MODES][0]) * self.frequency_sqr[bk]
+            self.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + stiffness)
 
     @ti.func
     def find_step(self, i):

@@ -3,9 +3,9 @@
 A substep minimises sum_i m_i/(2 dt^2) |dx_i - target_i|^2 + sum_t V Psi(F), Psi of MATH 7. J = det F is affine in one
 vertex, so for that vertex alone the energy is a quadratic, and its minimum is met exactly:
 
-    f = m/dt^2 (target - dx) - sum_t V P b,    H = m/dt^2 I + sum_t V (mu |b|^2 I + lam c c^T),    dx += H^-1 f
+    f = m/dt^2 (target - dx) - sum_t V P b,    H = m/dt^2 I + s sum_t V (mu |b|^2 I + lam c c^T),    dx += H^-1 f
 
-where F is that of dx - lag v (sim/state.py), and b is the gradient of the vertex's shape function at rest and c =
+where F is that of s dx - lag v (sim/state.py), b the gradient of the vertex's shape function at rest, and c =
 cof(F) b. H is positive definite whatever F is, so every update lowers the energy. Vertices of one colour share no tet
 and are moved at the same time. Few sweeps bring a push only a few rings of tets far. So bodies that others may touch
 move as wholes as well (sim/elastic/whole_bodies.py), which keeps momentum, and after the sweeps of a substep each body
@@ -129,12 +129,12 @@ class VertexDescent:
     def descend(self, i, dx, target, prior, mass, f, H):
         """Move vertex i to the least energy, its static contacts respected; returns its increment.
 
-        dx, target, prior, mass of `load`; f [N], H [N/m] of its tets.
+        dx, target, prior, mass of `load`; f [N], H [N/m] of its tets where their stress is.
         """
         s = self.state
         dt = s.dt[None]
         stiffness = mass / dt**2
-        A_inverse = H + ti.Matrix.identity(ti.f32, 3) * stiffness
+        A_inverse = (1.0 - s.stress_point[s.body_of_vertex[i]][0]) * H + ti.Matrix.identity(ti.f32, 3) * stiffness
         A = inverse(A_inverse)
         d = dx + A @ (f + stiffness * (target - dx))
         reaction, contact_stiffness = ti.Vector([0.0, 0.0, 0.0]), 0.0

@@ -5,7 +5,7 @@ import json
 import pytest
 
 import vrgs
-from bench import demos
+from bench import demos, hitches
 from core.material import Material
 from core.vocabulary import Body, Hand, Light, Plane
 from display.world import World
@@ -93,6 +93,19 @@ def test_the_first_second_does_not_count_for_the_worst(ti_cpu, monkeypatch, game
 
     row = demos.measure(DEMO, Play(), 100, demos.FIRST_SECOND)
     assert (row["worst_ms"], row["median_ms"], row["fps"], row["gaussians"]) == (10.0, 10.0, 100.0, 4)
+
+
+@pytest.mark.long
+def test_the_worst_frame_of_each_thing_one_does_is_measured(ti_cpu, tmp_path, capsys, game, monkeypatch):
+    monkeypatch.setattr(hitches, "ADDED", "ring_red")
+    out = tmp_path / "rows.json"
+    words = ["bench", "hitches", "ring", "--size", "48x40", "--json", str(out), "--arch", "cpu"]
+    assert vrgs.main(words) == 0
+    rows = {row["act"]: row for row in json.loads(out.read_text())}
+    acts = "rest touch grasp scale add copy resize material undo save load light reset"
+    assert list(rows) == acts.split()
+    assert all(0 < max(row["stages"].values()) < row["worst_ms"] and row["frames"] >= 20 for row in rows.values())
+    assert "commands" in rows["save"]["stages"] and "simulate" in rows["touch"]["stages"]
 
 
 def test_wrong_names_are_told_in_one_line(ti_cpu, capsys, game):

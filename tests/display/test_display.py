@@ -90,6 +90,7 @@ def test_a_stage_is_timed_and_frames_are_counted():
         timings.frame()
     assert timings.as_dict()["nap"]["median_ms"] >= 20
     assert 5 < timings.fps < 50 and timings.missed == 2
+    assert 0.02 <= timings.worst_stages["nap"] <= timings.worst
     timings.rest()
     time.sleep(0.05)
     timings.frame()
@@ -101,8 +102,8 @@ def test_a_display_that_knows_what_it_missed_is_believed():
     for missed in (5, 0, 2, 1):  # the first frame compiles
         timings.frame(missed)
     assert timings.missed == 3 and 0.0 < timings.worst < 1.0
-    timings._frames.append(0.2)
-    assert frame_lines(timings) == ["longest frame 200 ms, 3 missed"]
+    timings.worst, timings.worst_stages = 0.2, {"render": 0.02, "simulate": 0.15}
+    assert frame_lines(timings) == ["longest frame 200 ms (simulate 150), 3 missed"]
     for seconds in (0.03, 0.02, 0.5):
         timings.photon.append(seconds)
     timings.frame(dropped=1.25)
@@ -131,7 +132,7 @@ def test_stats_are_written_whole_and_as_strict_json(tmp_path, ti_cpu):
     write_json(path, run_stats(world, 3) | {"odd": np.float32("nan"), "many": np.arange(2), "flag": np.bool_(True)})
     stats = json.loads(path.read_text())
     promised = "frames fps stages gaussians vertices tets substeps dt score finite peak_memory_mb"
-    promised += " missed_frames worst_frame_ms dropped_seconds"
+    promised += " missed_frames worst_frame_ms worst_frame_stages_ms dropped_seconds"
     assert set(promised.split()) <= set(stats)
     assert stats["frames"] == 3 and stats["finite"] is True and stats["fps"] > 0
     assert {"median_ms", "worst_ms"} <= set(stats["stages"]["render"])

@@ -85,7 +85,7 @@ def test_blocks_that_wait_for_others_to_end_are_noticed():
 def test_several_patches_a_block_move_as_one():
     """More vertices than one block's shared memory holds, strained, without contact."""
     x, tets, surface = box((0.1, 0.1, 0.1), (10, 10, 10))
-    body = SoftBody("block", x, tets, surface, Material(5e6, 0.3, 1000.0))
+    body = SoftBody("block", x, tets, surface, Material(2e4, 0.3, 1000.0, damping=0.0))  # its stress lags
     start = x + 1e-3 * np.random.default_rng(0).normal(size=x.shape)
     solver, moved = Solver([body], contacts=False, integrator="vbd"), []
     persistent = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks)

@@ -28,10 +28,10 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_600, "assets": 5_050, "scenes": 2_250, "sim": 10_550, "render": 3_400, "prepare": 13_150,
-    "display": 13_750, "commands": 4_000, "bench": 3_200, "installer": 200, "tests": 34_100,
+    "core": 2_750, "assets": 5_100, "scenes": 2_250, "sim": 10_600, "render": 3_400, "prepare": 13_300,
+    "display": 13_750, "commands": 4_300, "bench": 3_400, "installer": 200, "tests": 34_600,
 }  # fmt: skip
-MOST_FILES = 300  # of the product
+MOST_FILES = 302  # of the product
 
 
 def product_files() -> list[Path]:

@@ -354,7 +354,9 @@ def swings(seconds: float = 1.0) -> list[dict]:
                 for _ in range(round(60 * end) - frames):
                     solver.step(1 / 60)
                 off = np.linalg.norm(positions(solver)[0] - true) / np.linalg.norm(start - x)
-                rows.append(at_most(f"{name} swing ({integrator}), off after {end:g} s", 0.1 if end == 1.0 else 0.12, off))
+                rows.append(
+                    at_most(f"{name} swing ({integrator}), off after {end:g} s", 0.1 if end == 1.0 else 0.12, off)
+                )
             frames = round(60 * end)
     return rows
 

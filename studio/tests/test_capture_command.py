@@ -55,7 +55,7 @@ def test_marks_tell_the_object_of_each_gaussian(tmp_path, ti_cpu):
     write_procedural_capture(toys, CaptureOptions(views=8, size=(96, 72)), lambda line: None)
     args = parse(f"capture {toys} --out {tmp_path / 'room'}".split())[1]
     making = RoomMaking(args, Stages(tmp_path / "work", STAGES))
-    making.capture = read_capture(toys)
+    making.capture, making.reduce = read_capture(toys), 1
     sizes = {view.name: (96, 72) for view in making.capture.views}
     making.masks, making.marks = None, read_marks(toys / "marks.json", sizes)
     points = making.capture.points

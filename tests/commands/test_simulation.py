@@ -151,15 +151,9 @@ def test_a_dataset_holds_pictures_and_the_cages_that_made_them(tmp_path):
         assert np.hypot(columns.mean() - at[:, 0].mean(), rows.mean() - at[:, 1].mean()) < 10
 
 
-def test_a_film_is_the_one_of_the_command(tmp_path):
+def test_a_headless_film_of_the_ring_toss(tmp_path):
     run(PROGRAMS[FILM].replace("FRAMES = 300", "FRAMES = 6"), tmp_path)
-    command = ["--scene", "ring_toss", "--headless", "--size", "640x360", "--frames", "6", "--record", "b.mp4"]
-    assert (
-        subprocess.run([sys.executable, ROOT / "vrgs.py", *command], cwd=tmp_path, capture_output=True).returncode == 0
-    )
-    films = [cv2.VideoCapture(str(tmp_path / name)) for name in ("toss.mp4", "b.mp4")]
-    for _ in range(3):
-        (ours, a), (theirs, b) = (film.read() for film in films)
-        assert ours and theirs
-        np.testing.assert_array_equal(a, b)
+    film = cv2.VideoCapture(str(tmp_path / "toss.mp4"))
+    pictures = [film.read()[1] for _ in range(3)]  # 30 a second
+    assert all(picture.shape == (360, 640, 3) and picture.std() > 20 for picture in pictures) and not film.read()[0]
     assert (tmp_path / "rings.vtu").stat().st_size > 10_000

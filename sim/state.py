@@ -91,8 +91,7 @@ class State:
         self.speed_limit = g.scalar(B)  # of this frame's substeps [m/s]
         self.untangling = g.scalar(B, dtype=ti.i32)  # 1 while it is moved to its rest shape, through itself
         self.inverted = g.scalar(B, dtype=ti.i32)  # bit 0 is set by elasticity where a tet is inverted
-        # 1 - share, and lag [s], of this frame; of damped bodies exactly 0: what rounding moves in stiff ones flickers
-        self.stress_point = g.vector(B, n=2)
+        self.stress_lag = g.scalar(B)  # [s] of this frame's substeps; of damped bodies exactly 0
         self.asleep = g.scalar(B, dtype=ti.i32)  # 1 while it is not simulated (sim/sleeping.py)
         self.rest_time = g.scalar(B)  # since when it has been at rest [s]
         # The frame
@@ -136,12 +135,22 @@ class State:
         return self.x[i] + self.dx[i]
 
     @ti.func
-    def strain_increment(self, i, point):
-        """Increment of vertex i at which the stress is evaluated [m], `point` being the body's stress_point."""
-        d = self.dx[i]
-        if point[1] > 0.0:  # a branch: what rounding moves in damped bodies flickers
-            d -= point[0] * d + point[1] * self.v[i]
+    def strain_increment(self, i, lag):
+        """Increment of vertex i at which the stress is evaluated [m], `lag` being the body's stress_lag."""
+        return self.lagging(self.dx[i], self.v[i], lag)
+
+    @ti.func
+    def lagging(self, dx, v, lag):
+        """share dx - lag v [m] of a vertex's increment [m] and velocity [m/s]."""
+        d = dx
+        if lag > 0.0:  # a branch: what rounding moves in damped bodies flickers
+            d -= (1.0 - self.stress_share(lag)) * dx + lag * v
         return d
+
+    @ti.func
+    def stress_share(self, lag):
+        """Share of a substep's increment that the stress sees, for a body's stress_lag."""
+        return 1.0 - (1.0 / NEWMARK_BETA - 1.0) * lag / self.dt[None]
 
     @ti.func
     def awake_vertex(self, i):
@@ -220,10 +229,8 @@ class State:
             # A longer substep, of VBD, makes no body slower: its own elements do not limit how fast it may fly
             stable = STABILITY_LIMIT / ti.sqrt(ti.max(self.kappa[b], 1e-12))
             self.speed_limit[b] = self.max_step[b] / ti.min(dt, stable)
-            lag = 0.0
-            if dt * ti.sqrt(self.kappa[b]) <= MAX_LAGGING_STABILITY:
-                lag = NEWMARK_BETA * ti.max(dt - self.retardation[b], 0.0)
-            self.stress_point[b] = ti.Vector([(1.0 / NEWMARK_BETA - 1.0) * lag / dt, lag])
+            converges = dt * ti.sqrt(self.kappa[b]) <= MAX_LAGGING_STABILITY
+            self.stress_lag[b] = NEWMARK_BETA * ti.max(dt - self.retardation[b], 0.0) if converges else 0.0
 
 
 def motion_of(snapshot: dict, vertices: int) -> list[np.ndarray]:

@@ -63,11 +63,11 @@ def fine_edge(x, dx, x0, dx0):
 def tet_edges(s: ti.template(), t):
     """Edges of tet t from its first corner in the substep in progress, where the stress is evaluated, f64."""
     a = s.tets[t]
-    point = s.stress_point[s.body_of_tet[t]]
-    x0, d0 = s.x[a[0]], s.strain_increment(a[0], point)
-    e1 = fine_edge(s.x[a[1]], s.strain_increment(a[1], point), x0, d0)
-    e2 = fine_edge(s.x[a[2]], s.strain_increment(a[2], point), x0, d0)
-    return e1, e2, fine_edge(s.x[a[3]], s.strain_increment(a[3], point), x0, d0)
+    lag = s.stress_lag[s.body_of_tet[t]]
+    x0, d0 = s.x[a[0]], s.strain_increment(a[0], lag)
+    e1 = fine_edge(s.x[a[1]], s.strain_increment(a[1], lag), x0, d0)
+    e2 = fine_edge(s.x[a[2]], s.strain_increment(a[2], lag), x0, d0)
+    return e1, e2, fine_edge(s.x[a[3]], s.strain_increment(a[3], lag), x0, d0)
 
 
 @ti.func
@@ -150,12 +150,12 @@ class Elasticity:
         b = s_.body_of_tet[t]
         mu, lam = s_.mu[b], s_.lam[b]
         dt = s_.dt[None]
-        point = s_.stress_point[b]
-        x0, d0 = s_.x[a[0]], s_.strain_increment(a[0], point)
+        lag = s_.stress_lag[b]
+        x0, d0 = s_.x[a[0]], s_.strain_increment(a[0], lag)
         # differences of positions first, then of increments: what lies under the last bit of x survives
-        e1 = (s_.x[a[1]] - x0) + (s_.strain_increment(a[1], point) - d0)
-        e2 = (s_.x[a[2]] - x0) + (s_.strain_increment(a[2], point) - d0)
-        e3 = (s_.x[a[3]] - x0) + (s_.strain_increment(a[3], point) - d0)
+        e1 = (s_.x[a[1]] - x0) + (s_.strain_increment(a[1], lag) - d0)
+        e2 = (s_.x[a[2]] - x0) + (s_.strain_increment(a[2], lag) - d0)
+        e3 = (s_.x[a[3]] - x0) + (s_.strain_increment(a[3], lag) - d0)
         B = self.rest_inverse[t]
         F = ti.Matrix.cols([e1, e2, e3]) @ B
         P, I1, dJ = stress(F, mu, lam)

@@ -270,7 +270,7 @@ class ModalCorrection:
         total = self._sum_of_blocks(self.mode_sums, bk // MODES, bk % MODES, lane)
         if lane == 0:
             s = self.state
-            stiffness = (1.0 - s.stress_point[bk // MODES][0]) * self.frequency_sqr[bk]
+            stiffness = s.stress_share(s.stress_lag[bk // MODES]) * self.frequency_sqr[bk]
             self.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + stiffness)
 
     @ti.func

@@ -85,8 +85,7 @@ class Patches:
     @ti.func
     def publish(self, i, x, v, dx, parity):
         """Show the neighbours of vertex i its position, velocity and increment, in substeps of this parity."""
-        point = self.state.stress_point[self.state.body_of_vertex[i]]
-        d = dx - (point[0] * dx + point[1] * v)
+        d = self.state.lagging(dx, v, self.state.stress_lag[self.state.body_of_vertex[i]])
         self.published[parity, i, 0] = ti.Vector([x.x, x.y, x.z, 0.0])
         self.published[parity, i, 1] = ti.Vector([d.x, d.y, d.z, 0.0])
         self.published[parity, i, 2] = ti.Vector([dx.x, dx.y, dx.z, 0.0])
@@ -286,10 +285,9 @@ PLACES = 366  # for vertices of a patch, own ones and others
 INDEX_BITS = 9
 ALL_PLACES = RESIDENT * PLACES
 VERTEX, SLOT = 0, ALL_PLACES  # words, for each place
-# words, for each resident patch
-MU, LAM, WITHHELD, LAG, COUNT = range(2 * ALL_PLACES, 2 * ALL_PLACES + 5 * RESIDENT, RESIDENT)
+MU, LAM, LAG, COUNT = range(2 * ALL_PLACES, 2 * ALL_PLACES + 4 * RESIDENT, RESIDENT)  # words, for each resident patch
 COLOR_PLACES = MAX_COLORS + 1
-OWN = 2 * ALL_PLACES + 5 * RESIDENT  # words: begin of each colour of each resident patch, COLOR_PLACES each ...
+OWN = 2 * ALL_PLACES + 4 * RESIDENT  # words: begin of each colour of each resident patch, COLOR_PLACES each ...
 OTHERS = OWN + RESIDENT * COLOR_PLACES  # ... and the same among the vertices that belong to other patches
 POINTS, WORDS = 3 * ALL_PLACES, OTHERS + RESIDENT * COLOR_PLACES
 assert PLACES <= 1 << INDEX_BITS and 8 * POINTS + 4 * WORDS <= 48 << 10
@@ -365,16 +363,16 @@ class ColorPatches:
     def enter(self, patch, r, own, block, colors, points: ti.template(), words: ti.template()):
         """Fetch all of a patch as resident r, by thread `own` of a block of so many."""
         s, begin, at = self.state, self.local_begin[patch], own
-        count, point = self.local_begin[patch + 1] - begin, s.stress_point[s.body_of_vertex[self.local[begin]]]
+        count, lag = self.local_begin[patch + 1] - begin, s.stress_lag[s.body_of_vertex[self.local[begin]]]
         while at < count:
             i, place = self.local[begin + at], r * PLACES + at
             words[VERTEX + place] = ti.bit_cast(i, ti.f32)
             words[SLOT + place] = ti.bit_cast(self.slot_begin[begin + at], ti.f32)
-            self.put(place, s.x[i], s.strain_increment(i, point), points)
+            self.put(place, s.x[i], s.strain_increment(i, lag), points)
             at += block
         if own == 0:
             b = s.body_of_vertex[self.local[begin]]
-            words[MU + r], words[LAM + r], words[WITHHELD + r], words[LAG + r] = s.mu[b], s.lam[b], point[0], point[1]
+            words[MU + r], words[LAM + r], words[LAG + r] = s.mu[b], s.lam[b], lag
             words[COUNT + r] = ti.bit_cast(count, ti.f32)
             mine = self.own_end[patch] - begin  # the end of the last own vertex's slots
             words[SLOT + r * PLACES + mine] = ti.bit_cast(self.slot_begin[begin + mine], ti.f32)
@@ -400,8 +398,7 @@ class ColorPatches:
     def stage(self, at, r, points: ti.template(), words: ti.template()):
         """Copy the position in the substep in progress of the vertex at this place of resident patch r."""
         i = self.vertex(at, words)
-        point = ti.Vector([words[WITHHELD + r], words[LAG + r]])
-        self.put(at, self.state.x[i], self.state.strain_increment(i, point), points)
+        self.put(at, self.state.x[i], self.state.strain_increment(i, words[LAG + r]), points)
 
     @ti.func
     def put(self, at, x, d, points: ti.template()):

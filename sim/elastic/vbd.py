@@ -134,7 +134,7 @@ class VertexDescent:
         s = self.state
         dt = s.dt[None]
         stiffness = mass / dt**2
-        A_inverse = (1.0 - s.stress_point[s.body_of_vertex[i]][0]) * H + ti.Matrix.identity(ti.f32, 3) * stiffness
+        A_inverse = s.stress_share(s.stress_lag[s.body_of_vertex[i]]) * H + ti.Matrix.identity(ti.f32, 3) * stiffness
         A = inverse(A_inverse)
         d = dx + A @ (f + stiffness * (target - dx))
         reaction, contact_stiffness = ti.Vector([0.0, 0.0, 0.0]), 0.0

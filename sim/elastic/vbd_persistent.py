@@ -9,19 +9,7 @@ import taichi as ti
 from core.fields import FieldGroup
 from sim.elastic.energy import Elasticity
 from sim.elastic.modal_correction import MODES, ModalCorrection
-from sim.elastic.patches import (
-    LAG,
-    LAM,
-    MU,
-    OTHERS,
-    OWN,
-    PLACES,
-    POINTS,
-    RESIDENT,
-    WITHHELD,
-    WORDS,
-    ColorPatches,
-)
+from sim.elastic.patches import LAG, LAM, MU, OTHERS, OWN, PLACES, POINTS, RESIDENT, WORDS, ColorPatches
 from sim.elastic.substep import (
     ALL_PASSES,
     Constraint,
@@ -364,7 +352,7 @@ class PersistentVBD:
                 if lane == 0 and at < end:
                     H = ti.Matrix([[xx[0], yy[0], yy[2]], [yy[0], xx[1], yy[1]], [yy[2], yy[1], xx[2]]])
                     d = self.descent.descend(i, dx, target, prior, mass, f, H)
-                    p.put(at, x, d - (words[WITHHELD + r] * d + words[LAG + r] * v), points)
+                    p.put(at, x, self.state.lagging(d, v, words[LAG + r]), points)
             r += groups // share
 
     @ti.func

@@ -51,7 +51,7 @@ def repeat_interrupt(report: Callable, unraisable) -> None:
 
 
 def __getattr__(name: str):
-    """What `import vrgs` gives a program; imported at its first use."""
+    """Attributes for `import vrgs`, imported at their first use."""
     if not name.startswith("_"):
         from commands import simulation
 

@@ -56,10 +56,8 @@ class Gaussians:
     view: tuple[float, ...] = ()
 
     @classmethod
-    def of(
-        cls, means, quats, log_scales, logit_opacities, sh, object_id=None, objects=(), sort="", antialias=False
-    ) -> Gaussians:
-        """Convert dtypes and normalise quaternions; the inputs must be finite."""
+    def of(cls, means, quats, log_scales, logit_opacities, sh, object_id=None, objects=(), **about) -> Gaussians:
+        """Convert dtypes and normalise quaternions; the inputs must be finite. `about`: sort, antialias and view."""
         n = len(means)
         quats = np.asarray(quats, np.float32).reshape(n, 4)
         quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
@@ -74,8 +72,7 @@ class Gaussians:
             sh.reshape(n, count, 3),
             np.ascontiguousarray(ids).reshape(n),
             tuple(objects),
-            sort,
-            antialias,
+            **about,
         )
 
     def __len__(self) -> int:
@@ -122,9 +119,9 @@ class Gaussians:
         sh = rotate_sh(self.sh, rotation)
         log_scales = self.log_scales + np.log(scale)
         view = scale * np.reshape(self.view[:6], (-1, 3)) @ rotation.T + np.asarray(translation)
-        rows = Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, self.object_id)
-        about = {"objects": self.objects, "sort": self.sort, "antialias": self.antialias}
-        return replace(rows, **about, view=(*view.ravel().tolist(), *self.view[6:]))
+        about = {"sort": self.sort, "antialias": self.antialias, "view": (*view.ravel().tolist(), *self.view[6:])}
+        ids = self.object_id, self.objects
+        return Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, *ids, **about)
 
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, unless there are Gaussians and all of them can be drawn."""
@@ -151,7 +148,7 @@ class Gaussians:
             raise BadInput(f"{where}: names of objects are {what}")
 
 
-def usable_view(numbers: Iterable) -> tuple[float, ...]:
+def usable_view(numbers: Iterable | None) -> tuple[float, ...]:
     """The view (7,) from the numbers or words of a file, all around where it does not say; () if they are none."""
     try:
         view = tuple(float(w) for w in numbers)
@@ -214,7 +211,7 @@ def drawable_gaussians(
 ) -> Gaussians:
     """Gaussians of the rows of a file that can be drawn; `report` takes a line if others were dropped.
 
-    about  `objects`, `sort` and `antialias` of Gaussians.
+    about  `objects`, `sort`, `antialias` and `view` of Gaussians.
 
     Raises BadInput, naming `path`, if none can be drawn.
     """

@@ -122,7 +122,7 @@ def export(options: ExportOptions) -> None:
 
 
 def film_of(options: ExportOptions, world, scene: str, **wanted):
-    """What takes the play into one file: a page or an OpenUSD stage; None for files of single frames."""
+    """The page or OpenUSD stage that takes the play into one file; None for files of single frames."""
     if kind_of(options) == PAGE:
         from display.keep.played_page import PlayedPage
 

@@ -1,4 +1,4 @@
-"""What `import vrgs` gives a Python program: a scene that it plays frame by frame, headless (docs/python.md)."""
+"""The module that `import vrgs` is to a Python program: it plays scenes frame by frame, headless (docs/python.md)."""
 
 from __future__ import annotations
 

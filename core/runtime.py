@@ -283,7 +283,7 @@ def is_out_of_memory(error: Exception) -> bool:
 
 
 def failure_line(error: Exception) -> str:
-    """What to say of an error that the machine causes; "" if the program does."""
+    """A line about an error that the machine causes; "" if the program does."""
     if is_out_of_memory(error):
         return "not enough memory; try a smaller picture or fewer Gaussians"
     named = re.search(r"CUDA_ERROR_\w+", str(error))

@@ -74,7 +74,6 @@ class DeviceScene:
         self.first = len(still) + sum(len(s.gaussians) for s in props)
         first_caster = len(still) + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
         self.parts = [piece.part for piece in moving]  # how each body of the scene is embedded
-        self.gaussian_counts = [len(part.gaussians) for part in self.parts]
         gaussians = concatenate([still, *(s.gaussians for s in props), *(piece.part.gaussians for piece in moving)])
         self.splats = Splats(
             gaussians,
@@ -121,6 +120,11 @@ class DeviceScene:
             outputs="deep" if depth else "rgba8",
             still=len(still),
         )
+
+    @property
+    def gaussian_counts(self) -> list[int]:
+        """Number of Gaussians of each body of the scene."""
+        return [len(part.gaussians) for part in self.parts]
 
     def begins(self, sources: Iterable[int]) -> list[int]:
         """Index of the first Gaussian of each of bodies that look like these, and the end of the last one's."""

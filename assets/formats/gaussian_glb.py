@@ -130,11 +130,9 @@ def _primitive(file: GlbFile, attributes: dict, about: dict, report: Report) -> 
     logs = scales if (scales < 0).any() else np.log(np.maximum(scales, SCALE_MIN))
     extras = about.get("extras") if isinstance(about.get("extras"), dict) else {}
     sort = extras.get("sort") if extras.get("sort") in SORTS else SORTING.get(str(about.get("sortingMethod")), "radial")
-    antialias = extras.get("antialias") is True
-    view = usable_view(extras["view"]) if isinstance(extras.get("view"), list) else ()
+    told = {"sort": sort, "antialias": extras.get("antialias") is True, "view": usable_view(extras.get("view"))}
     logits = np.log(alpha / (1 - alpha))
-    g = drawable_gaussians(file.path, means, quats, logs, logits, sh, report, sort=sort, antialias=antialias)
-    return replace(g, view=view)
+    return drawable_gaussians(file.path, means, quats, logs, logits, sh, report, **told)
 
 
 def _placed(file: GlbFile, g: Gaussians, world: np.ndarray) -> Gaussians:

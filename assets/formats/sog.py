@@ -18,7 +18,6 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
@@ -190,7 +189,7 @@ def _decode(images: Images, report: Report) -> Gaussians:
     about = meta.get("asset") if isinstance(meta.get("asset"), dict) else {}
     sort = about["sort"] if about.get("sort") in SORTS else ""
     antialias = meta.get("model") == "antialiased" or meta.get("antialias") is True
-    view = usable_view(about["view"]) if isinstance(about.get("view"), list) else ()
+    told = {"sort": sort, "antialias": antialias, "view": usable_view(about.get("view"))}
     low_byte, high_byte = (images.rows("means", count, index)[:, :3] for index in (0, 1))
     stored = _between(images, "means", low_byte + high_byte.astype(np.uint16) * 256, code_max=65535)
     with np.errstate(over="ignore"):  # non-finite Gaussians are dropped later
@@ -212,10 +211,7 @@ def _decode(images: Images, report: Report) -> Gaussians:
     sh = dc[:, None, :].astype(np.float32)
     if meta.get("shN") is not None:
         sh = np.concatenate([sh, _palette(images, count, version)], axis=1)
-    g = drawable_gaussians(
-        path, means, quats, log_scales.astype(np.float32), logits, sh, report, sort=sort, antialias=antialias
-    )
-    return replace(g, view=view)
+    return drawable_gaussians(path, means, quats, log_scales.astype(np.float32), logits, sh, report, **told)
 
 
 def _between(images: Images, name: str, codes: np.ndarray, code_max: int = 255) -> np.ndarray:

@@ -132,7 +132,6 @@ class BodyRegistry:
                 opacity = piece.part.gaussians.opacities.astype(np.float32)
                 self._looks.append((opacity, sh, np.ones_like(opacity)))
                 device.parts.append(piece.part)
-                device.gaussian_counts.append(len(piece.part.gaussians))
                 for animation in piece.targets(0):
                     self.animated[len(self.source_models)] = animation
                 self.source_models.append(BodyModel.of(piece.body, self.source_models))

@@ -21,12 +21,10 @@ from assets.file_access import atomic_write
 from assets.formats.spz import spz_bytes
 from assets.gaussians import Gaussians, concatenate
 from display.keep.scene_export import gaussians_of, moving_bodies
-from display.scene_bodies import load_bodies, pieces_of
 from display.viewed_file import view_around
 from display.world import World
 from display.xr.hand_joints import JOINT_COUNT
 from render.skinned_props import HIDDEN_DISTANCE
-from sim.embedding import EmbeddedBody
 
 FOLDER = Path(__file__).parent
 LIGHT_LEVELS = 32  # of a visibility, above 0: a step of the brightest colour is 8 of 255
@@ -39,9 +37,9 @@ LIGHT_TOLERANCE = 0.75  # levels, from which a visibility counts as changed: hal
 
 @dataclass(frozen=True)
 class Look:
-    """What the first track of an appearance holds: Gaussians as they are then, and their embedding in its shape then.
+    """An appearance, held by its first track: Gaussians as they are then, and their embedding in its shape then.
 
-    tets, host, weights  as in `EmbeddedBody`
+    tets, host, weights  as in `EmbeddedBody` (sim/embedding.py)
     """
 
     gaussians: Gaussians
@@ -110,7 +108,6 @@ class PlayedPage:
         self._members: tuple | None = None
         self._light = np.full(self._still, LIGHT_LEVELS, np.uint8)  # of the slots: the room's, then each track's
         self._changes: list[tuple[np.ndarray, np.ndarray]] = []  # slots and their new levels
-        self._parts: list[EmbeddedBody] = []  # by the source of a member
 
     def take(self, time: float) -> None:
         """Add the world as it is now, `time` [s] after the start, as a keyframe."""
@@ -118,7 +115,7 @@ class PlayedPage:
         if registry.members != self._members:  # indices of bodies mean others from now on
             self._members, self._live = registry.members, {}
         shown = {}  # of each Gaussian span that is shown now: its first slot
-        for moving in moving_bodies(self.world, self.body) if registry.members else []:
+        for moving in moving_bodies(self.world, self.body):
             span = registry.gaussian_span(moving.index)
             source, scale = registry.members[moving.index].source, moving.model.shape.factor
             shown[span] = self._follow(moving.index, source, span, moving.x, scale)
@@ -137,7 +134,8 @@ class PlayedPage:
             if source not in self._owners:
                 self._owners[source] = len(self._tracks)
                 g = gaussians_of(self.world, [span], shadows=False)()
-                look = Look(g, *(self._embedding(source) if isinstance(source, int) else stiff(count)))
+                part = self.world.device.parts[source] if isinstance(source, int) else None
+                look = Look(g, part.tets, part.host, part.weights) if part else Look(g, *stiff(count))
             track = Track(len(self._times), count, self._owners[source], scale, look)
             self._tracks.append(track)
             self._live[key] = track, len(self._light)
@@ -145,14 +143,6 @@ class PlayedPage:
         track, slot = self._live[key]
         track.vertices.append(np.asarray(x, np.float64))
         return slot
-
-    def _embedding(self, source: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Tets, hosts and weights of what a body looks like."""
-        if source >= len(self._parts):
-            added = (piece for asset in self.world.registry.added for piece in pieces_of(asset))
-            self._parts = [piece.part for piece in (*load_bodies(self.world.scene)[1], *added)]
-        part = self._parts[source]
-        return part.tets, part.host, part.weights
 
     def _hands(self) -> list[tuple[int, tuple[int, int], np.ndarray]]:
         """Side, Gaussians and pose (3, 4) of each scripted hand that is shown: it is as stiff as its wrist."""

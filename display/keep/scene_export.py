@@ -44,6 +44,8 @@ def exporter(world: World, path: Path, *, body: int | None = None, shadows: bool
         raise BadInput(f"there is no body {body} to export")
     if suffix in CAGES:
         bodies = moving_bodies(world, body)
+        if not bodies:
+            raise BadInput("there is nothing to export: the scene has no bodies with a cage")
         return lambda: write_cages(path, bodies, suffix)
     shown = shown_gaussians(world, body, shadows=shadows)
     return lambda: write_gaussians(path, shown())
@@ -105,14 +107,11 @@ def moving_bodies(world: World, body: int | None) -> list[MovingBody]:
     solver = world.device.solver
     state, begin = solver.snapshot(), solver.vertex_offset
     x, v = (state[high].astype(np.float64) + state[low] for high, low in (("x", "x_lo"), ("v", "v_lo")))
-    bodies = [
+    return [
         MovingBody(model, k, x[begin[k] : begin[k + 1]], v[begin[k] : begin[k + 1]])
         for k, model in enumerate(solver.body_models)
         if body in (None, k)
     ]
-    if not bodies:
-        raise BadInput("there is nothing to export: the scene has no bodies with a cage")
-    return bodies
 
 
 def write_cages(path: Path, bodies: Sequence[MovingBody], suffix: str) -> None:

@@ -85,7 +85,7 @@ class SceneStage:
             for k, shape in enumerate(world.device.sight.shapes):
                 self._collider(f"/World/Colliders/{type(shape).__name__}_{k}", shape)
         self._xform("/World/Bodies")
-        for moving in self._bodies():
+        for moving in moving_bodies(self.world, self._body):
             self._define(moving)
         self._models = self._now()
 
@@ -99,7 +99,7 @@ class SceneStage:
         self.stage.SetStartTimeCode(0)
         splats = self.world.device.splats
         mean, cov = splats.mean.to_numpy(), splats.cov.to_numpy()
-        for moving in self._bodies():
+        for moving in moving_bodies(self.world, self._body):
             R, t = self._place(moving, time)
             if moving.model.shape.rigid:
                 continue
@@ -127,13 +127,8 @@ class SceneStage:
             shutil.move(made, beside)
 
     def _now(self) -> list[tuple]:
-        """Which bodies there are, and what each is a copy of."""
-        return [(m.index, self.world.registry.members[m.index].source) for m in self._bodies()]
-
-    def _bodies(self) -> list[MovingBody]:
-        if not self.world.device.solver.body_models and self._body is None:
-            return []
-        return moving_bodies(self.world, self._body)
+        """Index of each body, and of what it is a copy."""
+        return [(m.index, self.world.registry.members[m.index].source) for m in moving_bodies(self.world, self._body)]
 
     # bodies
 

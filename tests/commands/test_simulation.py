@@ -49,7 +49,7 @@ def pulled(sim, frames: int = 3) -> np.ndarray:
 
 
 def run(program: str, folder: Path) -> str:
-    """What a program prints, which is run in a folder of its own."""
+    """Run a program in a folder of its own; returns its output."""
     env = {"PYTHONPATH": str(ROOT), "PATH": "", "HOME": str(Path.home())}
     done = subprocess.run([sys.executable, "-c", program], cwd=folder, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -191,7 +191,7 @@ def test_shared_opacity_looks_as_before():
 
 
 def opacity_at(rows: dict, places: np.ndarray) -> np.ndarray:
-    """How much is hidden at each place (N, 3) by all Gaussians there, one upon another."""
+    """Summed opacity at each place (N, 3) of all Gaussians there, one upon another."""
     there = (rows["mean"][None] == places[:, None]).all(axis=2)
     return 1 - np.where(there, 1 / (1 + np.exp(rows["logit"].astype(float))), 1.0).prod(axis=1)
 

@@ -20,7 +20,7 @@ from studio.finish import flat_sh, sample_albedo, sharpened, to_gaussians, tone_
 from studio.shapes import Surface
 from studio.surface_sampling import sample_surfaces
 
-VERTICES, SKIRT_VERTICES, PONYTAIL_VERTICES = 900, 384, 63  # of the cages of the body and of what swings
+VERTICES, SKIRT_VERTICES, PONYTAIL_VERTICES = 500, 384, 63  # of the cages of the body and of what swings
 TOTAL = VERTICES + SKIRT_VERTICES + PONYTAIL_VERTICES
 BRIGHTNESS = 1.15
 FEET = 0.12 * HEIGHT  # [m] up to which the cage is flattened onto the soles

@@ -77,7 +77,8 @@ def ponytail(vertices: int) -> Garment:
     side = np.array([1.0, 0.0, 0.0])
     over = np.cross(side, tangent)
     b = 2 * np.pi * (np.arange(sides) + 0.5) / sides
-    radius = (line[:, 2] * 1.06 + 0.002 * HEIGHT) / np.cos(np.pi / sides)
+    # the cage does not follow the hair to its tip, where thin tets would shorten the substeps of the whole play
+    radius = np.maximum(line[:, 2] * 1.06 + 0.002 * HEIGHT, 0.02 * HEIGHT) / np.cos(np.pi / sides)
     around = np.cos(b)[None, :, None] * side + np.sin(b)[None, :, None] * over[:, None]
     cage = rod_cage(axis[:, None] + radius[:, None, None] * around, axis)
     held = np.repeat(np.linspace(0, 1, count) <= max(HAIR_ROOT, 1.5 / (count - 1)), sides + 1)

@@ -39,6 +39,11 @@ def led_and_wanted(world, asset, body: int, time: float, move: np.ndarray) -> tu
     return x[led], wanted @ move[:3, :3].T + move[:3, 3]
 
 
+def test_no_thin_part_of_the_dancer_shortens_the_substeps_of_the_play(stage):
+    """Two CPU cores play it at 20 frames/s: at most the substeps of the ball, in a frame of 1/60 s."""
+    assert stage[0].stats()["substeps"] <= 64
+
+
 @pytest.mark.parametrize("throws", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_the_scripted_player_meets_the_dancer_with_what_he_throws(throws, stage):
     """Rings and ball bounce off; the skirt swings, no leg goes through it, and the dancer stays whole."""

@@ -35,16 +35,16 @@ if command -v dpkg-query >/dev/null 2>&1; then
     fi
 fi
 
-# All pins have wheels for Python 3.11 to 3.13 (tests/pins.py).
+# All pins have wheels for Python 3.11 to 3.14 (tests/pins.py).
 python=
-for p in python3.11 python3.12 python3.13 python3; do
-    if "$p" -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; then
+for p in python3.11 python3.12 python3.13 python3.14 python3; do
+    if "$p" -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' 2>/dev/null; then
         python=$p
         break
     fi
 done
 [ -n "$python" ] || {
-    echo "No Python 3.11 to 3.13 with venv was found. On Ubuntu 22.04: sudo apt-get install python3.11-venv" >&2
+    echo "No Python 3.11 to 3.14 with venv was found. On Ubuntu 22.04: sudo apt-get install python3.11-venv" >&2
     exit 1
 }
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
-PYTHONS = ("3.11", "3.12", "3.13")
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 GLIBC = (5, 12, 17, 24, 26, 27, 28, 31, 34, 35)  # of the manylinux tags; pip takes each as it is written
 PLATFORMS = {  # the tags of its wheels, and what markers of requirements may ask for
     "Linux": ([f"manylinux_2_{k}_x86_64" for k in GLIBC] + ["manylinux2014_x86_64"], "x86_64"),

@@ -97,14 +97,17 @@ def test_launches_are_repeated_in_their_order_with_their_numbers(ti_cpu):
     assert digits[None] == 4294
 
 
-def test_another_back_end_stands_in_for_taichi(tmp_path):
+@pytest.mark.parametrize("backend, python", [("quadrants", (3, 11)), ("", (3, 14))])
+def test_another_back_end_stands_in_for_taichi(tmp_path, backend, python):
+    """Where it is asked for, and with a Python that Taichi has no wheel for."""
     package = tmp_path / "quadrants"
     (package / "lang").mkdir(parents=True)
     (package / "__init__.py").write_text("cfg = 'the fork'")
     (package / "math.py").write_text("from . import cfg as vec3")
     (package / "lang" / "__init__.py").touch()
-    code = "import core, taichi.lang, quadrants; from taichi.math import vec3; print(vec3, taichi is quadrants)"
-    env = os.environ | {"VRGS_BACKEND": "quadrants", "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    code = f"import numpy, sys; sys.version_info = {python}; import core, taichi.lang, quadrants\n"
+    code += "from taichi.math import vec3; print(vec3, taichi is quadrants)"
+    env = os.environ | {"VRGS_BACKEND": backend, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
     done = subprocess.run(
         [sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True, check=True
     )

@@ -157,27 +157,27 @@ def end_taichi() -> None:
 
 
 def hasten_front_end() -> None:
-    """Halve the time in which Taichi's front end turns kernels into syntax trees: with a warm cache, most of a start.
+    """Halve the time in which the front end turns kernels into syntax trees: with a warm cache, most of a start.
 
-    Functions are inlined, and their source text is searched and unwrapped at each call: here once. And locations in
-    the source are described for each expression, in case an error message should need them: here in one line.
+    Functions are inlined, and their source text is searched and unwrapped at each call: here once. And Taichi describes
+    locations in the source for each expression, in case an error message should need them: here in one line.
     Attributes of classes with kernels are accessed directly, which saves time in every frame as well.
     """
+    front = importlib.import_module(f"taichi.lang.{'_func_base' if QUADRANTS else 'kernel_impl'}")
+    looked_up = ("get_source_info_and_src",) if QUADRANTS else ("getsourcefile", "getsourcelines")
+    if hasattr(getattr(front, looked_up[0]), "known"):
+        return
+    for name in looked_up:
+        setattr(front, name, cached_by_code(getattr(front, name)))
+    front.textwrap = SimpleNamespace(dedent=textwrap.dedent, fill=cache(textwrap.fill))
     if QUADRANTS:
         return
-    from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
-
-    if hasattr(kernel_impl.getsourcelines, "known"):
-        return
 
     def position(self, node) -> str:
         line = node.lineno + self.lineno_offset
         return f'File "{self.file}", line {line}, in {self.func.func.__name__}:\n{self.src[node.lineno - 1]}\n'
 
-    kernel_impl.getsourcefile = cached_by_code(kernel_impl.getsourcefile)
-    kernel_impl.getsourcelines = cached_by_code(kernel_impl.getsourcelines)
-    kernel_impl.textwrap = SimpleNamespace(dedent=textwrap.dedent, fill=cache(textwrap.fill))
     ASTTransformerContext.get_pos_info = position
     bind_kernels_of_all_classes()
 

@@ -1,5 +1,6 @@
 """Ctrl-C where Taichi would swallow it, kernels as methods, and its cache after killed programs and failing disks."""
 
+import inspect
 import os
 import signal
 import subprocess
@@ -68,6 +69,26 @@ def test_kernels_are_those_of_their_instance(ti_cpu):
     assert (one.value, other.value) == (6, 60)
     assert QUADRANTS or isinstance(vars(Counter)["add"], KernelMethod)  # quadrants binds as Python does by itself
     assert Counter.__getattribute__ is object.__getattribute__  # Taichi's looks into each access
+
+
+def test_the_source_of_an_inlined_function_is_read_once(ti_cpu, monkeypatch):
+    read, lines_of = [], inspect.getsourcelines
+    monkeypatch.setattr(
+        inspect, "getsourcelines", lambda function: (read.append(function.__name__), lines_of(function))[1]
+    )
+    total = ti.field(ti.i32, ())
+
+    @ti.func
+    def twice(n):
+        return 2 * n
+
+    @ti.kernel
+    def add(n: ti.i32):
+        total[None] += twice(n) + twice(n + 1)
+
+    read.clear()
+    add(3)
+    assert total[None] == 14 and read.count("twice") == 1
 
 
 def test_classes_from_before_the_start_are_bound(ti_cpu):

@@ -119,6 +119,18 @@ def test_what_is_written_comes_back(tmp_path, degree):
     assert (read.sort, read.antialias, read.sh_degree) == ("radial", degree == 1, degree)
 
 
+def test_harmonics_that_few_gaussians_have_are_kept_whatever_the_others(tmp_path):
+    """A body with harmonics in a room without, which are all alike: one entry of the palette, not most of them."""
+    g = some_gaussians(5000, 2)
+    sh = g.sh.copy()
+    sh[300:, 1:] = 0.0
+    write_gaussians(tmp_path / "a.sog", replace(g, sh=sh), pytest.fail)
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        assert json.loads(archive.read("meta.json"))["shN"]["count"] == 301
+    read, order = read_gaussians(tmp_path / "a.sog", pytest.fail), chunk_order(g.means)
+    np.testing.assert_allclose(read.sh[:, 1:], sh[order, 1:], atol=np.ptp(sh[:, 1:]) / 40)
+
+
 @pytest.mark.parametrize("count", [1, 2, 70])
 def test_few_and_equal_gaussians_are_written_without_a_warning(tmp_path, count):
     g = some_gaussians(1, 3).select(np.zeros(count, int))

@@ -7,6 +7,7 @@ import sys
 import threading
 from contextlib import nullcontext
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -111,7 +112,7 @@ def test_a_user_without_a_home_gets_a_temporary_one_that_nobody_else_writes_to(t
     "words", [["export", "--out", "toy.usdz"], ["prepare", "cat.ply", "--cage", "cat.usda", "--out", "cat.h5"]]
 )
 def test_without_openusd_its_installation_is_told_in_a_line(tmp_path, monkeypatch, capsys, words):
-    monkeypatch.setattr(program, "find_spec", lambda name: None)
+    monkeypatch.setattr(program, "find_spec", lambda name: None if name == "pxr" else find_spec(name))
     monkeypatch.chdir(tmp_path)
     for name in ("cat.ply", "cat.usda"):
         (tmp_path / name).write_text("anything")

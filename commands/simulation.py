@@ -185,7 +185,7 @@ class Simulation:
         return view_of(self._world.picture)
 
     def export(self, path: str | Path, *, body: int | None = None) -> None:
-        """Write the scene, or one body, as it is now: a splat file or cages, by the name's ending. Raises BadInput."""
+        """Write the scene or a body as it is now: splats, a page, OpenUSD or cages, by its ending. Raises BadInput."""
         from display.keep.scene_export import exporter
 
         exporter(self._world, Path(path), body=body)()

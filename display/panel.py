@@ -42,7 +42,10 @@ INTERACTIONS = {
 EXPORT_PREFIX = "export ."
 EXPORTS = tuple(EXPORT_PREFIX + kind for kind in get_args(get_type_hints(Export)["kind"]))
 CAGES = ("vtu", "obj")  # exports without colours
-EXPORT_TIP = "ply, spz, splat: Gaussians as they are now. vtu: cages with their fields. obj: surfaces of the cages."
+EXPORT_TIP = (
+    "ply, spz, splat, sog, glb: Gaussians as they are now. html: a page that shows them. usdz: bodies for other "
+    "simulators. vtu: cages with their fields. obj: surfaces of the cages."
+)
 SCENE_PICTURES = Path(registry.__file__).parent / "pictures"
 
 

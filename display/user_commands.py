@@ -195,12 +195,12 @@ class WriteCamera(PictureCommand):
 class Export(Command):
     """Write the scene, or one body, for other programs (display/keep/scene_export.py).
 
-    kind     ending of a splat file, or "vtu": the cages, "obj": their surfaces
-    body     None: all, and of a splat file the room too
-    shadows  of a splat file: whether the colours are as dark as they are shown
+    kind     ending of a splat file, "html": a page, "usdz": OpenUSD, "vtu": the cages, "obj": their surfaces
+    body     None: all, and where Gaussians are written the room too
+    shadows  of Gaussians: whether the colours are as dark as they are shown
     """
 
-    kind: Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"] = "ply"
+    kind: Literal["ply", "compressed.ply", "spz", "splat", "sog", "glb", "html", "usdz", "vtu", "obj"] = "ply"
     body: BodyIndex | None = None
     shadows: bool = True
 

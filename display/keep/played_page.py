@@ -10,6 +10,7 @@ import base64
 import gzip
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -171,10 +172,17 @@ class PlayedPage:
 
     def write(self, path: Path) -> None:
         """Write the page. Raises BadInput."""
-        looks = [track.look.gaussians for track in self._tracks if track.look]
-        if self._still or not looks:  # the room as it is at the end: the user may have turned it
-            looks.insert(0, gaussians_of(self.world, [(0, self._still)], shadows=False)())
-        gaussians = concatenate(looks)
+        self.writer(path)()
+
+    def writer(self, path: Path) -> Callable[[], None]:
+        """Read the room, as it is now: the user may have turned it; returns what writes the page. Raises BadInput."""
+        room = None
+        if self._still or not self._tracks:
+            room = gaussians_of(self.world, [(0, self._still)], shadows=False)
+        return lambda: self._write(path, [room()] if room else [])
+
+    def _write(self, path: Path, room: list[Gaussians]) -> None:
+        gaussians = concatenate(room + [track.look.gaussians for track in self._tracks if track.look])
         scene, eye, target = self.world.scene, self.world.scene.eye, self.world.scene.target
         if self.body is not None:
             eye, target = view_around(gaussians, ASPECT)

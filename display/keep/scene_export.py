@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from assets.formats.vtu import write_surfaces, write_vtu
 from assets.gaussians import Gaussians, axes_of
 from assets.splat_files import WRITERS, kind_to_write, write_gaussians
 from core.errors import BadInput
+from core.program import USD, check_usd
 from core.rotation import best_fit_rotation, matrices_from_quaternions
 from core.spherical_harmonics import C0, rotate_sh
 from core.tetmesh import tet_volumes
@@ -34,14 +36,26 @@ def export_suffix(path: str | Path) -> str:
 def exporter(world: World, path: Path, *, body: int | None = None, shadows: bool = True) -> Callable[[], None]:
     """Read a world, as it is now, for a file of the kind of its name; returns what writes it.
 
-    body     only this one; None: all, and of a splat file the room too
-    shadows  let a splat file's colours be as dark as they are shown
+    body     only this one; None: all, and where Gaussians are written the room too
+    shadows  let their colours be as dark as they are shown
 
     Raises BadInput, now or when it is written.
     """
-    suffix = export_suffix(path)
+    suffix = path.suffix.lower()
     if body is not None and not 0 <= body < len(world.bodies()):
         raise BadInput(f"there is no body {body} to export")
+    if suffix == ".html":
+        from display.keep.played_page import PlayedPage
+
+        page = PlayedPage(world, path.stem.replace("_", " "), body=body, shadows=shadows)
+        page.take(0.0)
+        return page.writer(path)
+    if suffix in USD:
+        check_usd(f"{path}: OpenUSD")
+        from display.keep.usd_export import SceneStage
+
+        return partial(SceneStage(world, body, shadows=shadows).write, path)
+    suffix = export_suffix(path)
     if suffix in CAGES:
         bodies = moving_bodies(world, body)
         if not bodies:

@@ -19,6 +19,7 @@ from core.material import Material
 from core.vocabulary import Body, Hand, Light, Plane
 from display import user_commands as cmd
 from display.keep.played_page import PlayedPage
+from display.keep.scene_export import exporter
 from display.picture import pixels_of
 from display.protocol import Frame
 from scenes.scene import Scene
@@ -36,7 +37,7 @@ EDITS = {4: cmd.Rotate(0, cmd.rotation_step((0.3, 1.0, 0.1))), 5: cmd.Duplicate(
 def played(ti_cpu, tmp_path_factory):
     """A page of a bottle and two rings, of which one is lifted, the other is copied and then scaled, and the play.
 
-    Of each keyframe means, covariances, visibilities and a picture.
+    Of each keyframe means, covariances, visibilities and a picture. Beside it now.html, as exported at the end.
     """
     from display.world import World
 
@@ -56,6 +57,7 @@ def played(ti_cpu, tmp_path_factory):
         moments.append((*fields, pixels_of(world.picture)[..., :3].copy()))
     path = tmp_path_factory.mktemp("page") / "play.html"
     page.write(path)
+    exporter(world, path.with_name("now.html"))()
     return path, moments
 
 
@@ -146,6 +148,13 @@ def test_the_page_holds_the_play(played, tmp_path):
         assert np.quantile(error, 0.99) < 0.1, "8 bits of log-scale: 3 %, of a variance 6 %"
         assert np.abs(light / 255 - visibility).max() < 0.03
     assert np.ptp([m[0][-1] for m in moments], 0).max() > 0.01, "something moved"
+
+
+def test_a_moment_of_a_play_is_a_page_as_well(played, tmp_path):
+    path, moments = played
+    page = Page(path.with_name("now.html"), tmp_path)
+    assert page.about["times"] == [0.0]
+    assert_allclose(page.moment(0)[0], moments[-1][0], atol=1e-4)
 
 
 def test_a_name_stays_a_name(played):

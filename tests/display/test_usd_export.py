@@ -14,7 +14,7 @@ from core.rotation import matrices_from_quaternions
 from core.tetmesh import enclosed_volume, tet_volumes
 from core.vocabulary import Body, Box, Capsule, Hand, Light, Plane
 from display import user_commands as cmd
-from display.keep.scene_export import gaussians_of, moving_bodies, shown_gaussians
+from display.keep.scene_export import exporter, gaussians_of, moving_bodies, shown_gaussians
 from display.protocol import Frame
 from prepare.cage.cage_file import read_cage
 from scenes.scene import Scene
@@ -197,6 +197,14 @@ def test_between_samples_axes_do_not_turn_over():
 
 def flat(q) -> tuple:
     return (q.GetReal(), *q.GetImaginary())
+
+
+def test_a_moment_of_a_play_is_exported_as_well(world, tmp_path):
+    exporter(world, tmp_path / "now.usdz", body=RING)()
+    stage = Usd.Stage.Open(str(tmp_path / "now.usdz"))
+    (mesh,) = prims_of(stage, "TetMesh")
+    points = value(mesh, "points") @ world_from(mesh)[:3, :3] + world_from(mesh)[3, :3]
+    assert_allclose(points, moving_bodies(world, RING)[0].x, atol=1e-5)
 
 
 def test_another_body_ends_the_samples(world):

@@ -86,7 +86,7 @@ def gaussians_of(world: World, spans: Sequence[tuple[int, int]], *, shadows: boo
     which = np.concatenate([np.arange(*span) for span in spans])
     if len(which) == 0:
         raise BadInput("there is nothing to export: the scene has no Gaussians")
-    antialias = device.renderer.rasterizer.projection.antialias
+    told = {"sort": device.trained_sort, "antialias": device.renderer.rasterizer.projection.antialias}
     all_opacities, all_harmonics, _ = splats.read(0, splats.count)
     opacities, harmonics = all_opacities[which].astype(np.float64), all_harmonics[which]
     fields = (splats.mean, splats.cov, splats.rotation, splats.visibility)
@@ -101,7 +101,7 @@ def gaussians_of(world: World, spans: Sequence[tuple[int, int]], *, shadows: boo
             sh *= visibility[:, None, None]
             sh[:, 0] += (0.5 / C0) * (visibility[:, None] - 1.0)
         logits = np.log(opacity / (1 - opacity))
-        return Gaussians.of(mean, quats, log_scales, logits, sh, antialias=antialias)
+        return Gaussians.of(mean, quats, log_scales, logits, sh, **told)
 
     return splat
 

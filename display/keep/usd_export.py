@@ -277,7 +277,7 @@ class SceneStage:
         """The prim of Gaussians; `half`: with orientations and scales of half precision."""
         field = UsdVol.ParticleField3DGaussianSplat.Define(self.stage, path)
         field.CreateProjectionModeHintAttr(UsdVol.Tokens.perspective)
-        field.CreateSortingModeHintAttr(SORTING[g.sort or self.world.device.trained_sort])
+        field.CreateSortingModeHintAttr(SORTING[g.sort])
         self._splats(path, g.means, g.quats, np.exp(g.log_scales), half=half)
         self._set(path, "opacities", g.opacities)
         self._set(path, "radiance:sphericalHarmonicsCoefficients", g.sh.reshape(-1, 3))

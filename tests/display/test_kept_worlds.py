@@ -87,6 +87,7 @@ def test_the_exported_splat_looks_like_the_running_scene(world, drawn, tmp_path,
     exporter(world, tmp_path / name)()
     gaussians = read_gaussians(tmp_path / name)
     assert len(gaussians) == world.stats()["gaussians"] and gaussians.sh_degree == 2
+    assert gaussians.sort == MOVING_SORT, "of the files that are read, others are drawn by z"
     quality = cv2.PSNR(drawn(gaussians), shown(world))
     print(f"{name}: {quality:.1f} dB")
     assert quality > least

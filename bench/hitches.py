@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -22,6 +23,7 @@ from core.vocabulary import Hand, Touch
 from display import user_commands as cmd
 from display.keep.scene_state import state_of
 from display.keep.state_file import write_state
+from display.xr import wrist_panel as wrist
 from scenes import registry
 
 REST = 20  # frames before the first act, and after each: what it set going goes on
@@ -31,13 +33,15 @@ CAPSULE = 0.009  # [m] radius of a finger
 ADDED = "toy_duck"  # the body that is added, before a copy takes its place
 GOAL = 50.0  # [ms] of no frame on a GPU
 
-Act = tuple  # a frame: its hands, then commands, or functions that are called before it
+Act = tuple  # a frame: its hands, then commands, or functions that are called before it and may return commands
+PANEL = ("Transform", "Physics", "Pause", "Pause", "Turn", "Watch", "Watch")  # buttons of the panel, pressed in turn
+MENU = (wrist.SCENES, wrist.BACK)
 
 
 def run(*, names: list[str], size: tuple[int, int]) -> Iterator[dict]:
     """Do everything in these scenes, or in all; prints and yields a row for each act. Raises BadInput."""
     print(f"{'scene':22} {'act':10} {'frames':>6} {'worst ms':>9}  in which")
-    for name in names or registry.names():
+    for name in names or [*registry.names(), *registry.rooms()]:
         play = StereoPlay(registry.load(name), size, reserve=[ADDED])
         with TemporaryDirectory() as folder:
             for act, frames in acts(play, Path(folder) / "hitches.state.h5"):
@@ -49,35 +53,28 @@ def run(*, names: list[str], size: tuple[int, int]) -> Iterator[dict]:
 
 
 def measured(play: StereoPlay, frames: Iterable[Act]) -> dict:
-    """The worst of these frames [ms], its stages [ms], and the kernels that were compiled in it."""
-    worst = {"worst_ms": 0.0, "stages": {}, "kernels": 0}
-    compiled = count = 0
-
-    def note(number: int) -> None:
-        nonlocal compiled
-        compiled = number
-
-    timings = play.world.timings
-    with watch_compilation(note):
+    """The worst of these frames [ms], its stages [ms], and the kernels that were compiled in all of them."""
+    worst, kernels, count, timings = {"worst_ms": 0.0, "stages": {}}, [], 0, play.world.timings
+    with watch_compilation(kernels.append):
         for hands, *given in frames:
-            before, begin = compiled, perf_counter()
+            begin = perf_counter()
             timings.frame()
+            commands = [g for g in given if isinstance(g, cmd.Command)]
             for change in (g for g in given if not isinstance(g, cmd.Command)):
                 with timings.stage("commands"):
-                    change()
-            play.frame(ti.sync, hands, [g for g in given if isinstance(g, cmd.Command)])
+                    commands += change() or []
+            play.frame(ti.sync, hands, commands)
             took, count = 1e3 * (perf_counter() - begin), count + 1
             if took > worst["worst_ms"]:
-                stages = {stage: 1e3 * t for stage, t in timings.in_frame.items()}
-                worst = {"worst_ms": took, "stages": stages, "kernels": compiled - before}
-    return {"frames": count, **worst}
+                worst = {"worst_ms": took, "stages": {stage: 1e3 * t for stage, t in timings.in_frame.items()}}
+    return {"frames": count, **worst, "kernels": kernels}
 
 
 def line(row: dict) -> str:
     """A row of the table."""
     stages = sorted(row["stages"].items(), key=lambda s: -s[1])[:2]
     cause = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages)
-    compiled = f", {row['kernels']} kernels compiled" if row["kernels"] else ""
+    compiled = f", compiled: {', '.join(row['kernels'])}" if row["kernels"] else ""
     late = "  over 50 ms" if row["worst_ms"] > GOAL else ""
     return f"{row['scene']:22} {row['act']:10} {row['frames']:6} {row['worst_ms']:9.1f}  {cause}{compiled}{late}"
 
@@ -97,6 +94,8 @@ def acts(play: StereoPlay, path: Path) -> Iterator[tuple[str, Iterable[Act]]]:
         yield "undo", still(REST, cmd.Undo())
         yield "save", still(REST, lambda: write_state(path, state_of(world, {})))
         yield "load", still(REST, cmd.LoadState(str(path)))
+    for name, buttons in (("panel", PANEL), ("menu", MENU)):
+        yield name, panelled(play, buttons)
     if world.light is not None:
         x, y, z = world.light.position
         yield "light", still(REST, cmd.SetLight(replace(world.light, position=(x + 0.2, y, z))))
@@ -106,6 +105,37 @@ def acts(play: StereoPlay, path: Path) -> Iterator[tuple[str, Iterable[Act]]]:
 def still(frames: int, *given) -> Iterable[Act]:
     """Frames with open hands, the commands in the first."""
     return [([Hand(), Hand()], *given), *[([Hand(), Hand()],)] * (frames - 1)]
+
+
+def panelled(play: StereoPlay, buttons: Iterable[str]) -> Iterator[Act]:
+    """The panel over the left hand, painted as a headset shows it, and the window's laid out; the right hand points at
+    these buttons and presses them."""
+    panel, shown, head = wrist.WristPanel(), wrist.PanelContent(), np.linalg.inv(play.eyes(0)[0].world_to_camera)
+    wrist.paint(shown)  # as before play
+
+    def look(button: str = "") -> list[cmd.Command]:
+        nonlocal shown
+        left, right = play.controllers(0)
+        left.pressed = set() if panel.pinned else {"lower"}
+        if button:
+            x, y, width, height = wrist.pages()[panel.page][button]
+            right.aim, right.grab = panel.pose.copy(), 1.0
+            pixels = np.array([x + width / 2 - wrist.PIXELS[0] / 2, wrist.PIXELS[1] / 2 - y - height / 2])
+            right.aim[:3, 3] += right.aim[:3, :3] @ [*pixels * wrist.PANEL_WIDTH / wrist.PIXELS[0], 0.1]
+        commands = panel.advance([left, right], head, np.eye(4), play.world)[1]
+        assert not button or panel.clicked
+        content = replace(wrist.PanelContent.of(play.world, panel), rate="")
+        if content != shown:
+            shown = content
+            wrist.paint(content)
+        panel.described.read(play.world)
+        panel.described.sections(play.world)
+        return commands
+
+    for button in buttons:
+        yield [Hand(), Hand()], look
+        yield [Hand(), Hand()], partial(look, button)
+    yield from still(REST, look)
 
 
 def touching(play: StereoPlay) -> Iterator[Act]:

@@ -197,22 +197,20 @@ def cached_by_code(look_up: Callable) -> Callable:
 
 
 @contextlib.contextmanager
-def watch_compilation(note: Callable[[int], None]) -> Iterator[None]:
-    """While active, call `note` with the number of the kernel that is about to be compiled, or read from the cache.
+def watch_compilation(note: Callable[[str], None]) -> Iterator[None]:
+    """While active, call `note` with the name of each kernel that is about to be compiled, or read from the cache.
 
     Each is compiled at once. Else the kernels of a graph would all be compiled at its first run, and `note` not called.
     """
     from taichi.lang.kernel_impl import Kernel
 
-    materialize, count = Kernel.materialize, 0
+    materialize = Kernel.materialize
 
     def noted(self, key=None, *args, **kwargs):
-        nonlocal count
         key = (self.func, 0, self.autodiff_mode) if key is None else key
         if key in self.compiled_kernels:
             return
-        count += 1
-        note(count)
+        note(self.func.__qualname__)
         materialize(self, key, *args, **kwargs)
         prog = program()
         prog.compile_kernel(prog.config(), prog.get_device_caps(), self.compiled_kernels[key])

@@ -150,7 +150,7 @@ def start_progress(show: Callable[[str], None], out: TextIO | None = None) -> It
     line = ProgressLine(out)
     shown = line.begin
 
-    def note(count: int) -> None:
+    def note(kernel: str) -> None:
         nonlocal shown
         now = perf_counter()
         text = f"Preparing, {now - line.begin:.0f} s ({FIRST_START})"

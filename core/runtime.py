@@ -74,6 +74,17 @@ class StandIn:
             module.Kernel.compiled_kernels = property(lambda kernel: kernel.materialized_kernels)
 
 
+def forget_kernels(runtime) -> None:
+    """Let all kernels be compiled anew, as Taichi does where fields are freed.
+
+    quadrants 1.3.3 and 1.4.0 keep what was compiled, which writes into the memory that was freed, and launches that
+    they know by the addresses of objects that are gone.
+    """
+    for kernel in runtime.kernels:
+        kernel.reset()
+        kernel.launch_context_buffer_cache = type(kernel.launch_context_buffer_cache)()
+
+
 @contextlib.contextmanager
 def interrupts_held() -> Iterator[None]:
     """Let a Ctrl-C act after the block: bare `except:` clauses, as in the start of Taichi, would swallow it."""
@@ -161,7 +172,8 @@ def hasten_front_end() -> None:
 
     Functions are inlined, and their source text is searched and unwrapped at each call: here once. And Taichi describes
     locations in the source for each expression, in case an error message should need them: here in one line.
-    Attributes of classes with kernels are accessed directly, which saves time in every frame as well.
+    Attributes of classes with kernels are accessed directly, which saves time in every frame as well. And how
+    quadrants discards kernels is mended.
     """
     front = importlib.import_module(f"taichi.lang.{'_func_base' if QUADRANTS else 'kernel_impl'}")
     looked_up = ("get_source_info_and_src",) if QUADRANTS else ("getsourcefile", "getsourcelines")
@@ -171,6 +183,7 @@ def hasten_front_end() -> None:
         setattr(front, name, cached_by_code(getattr(front, name)))
     front.textwrap = SimpleNamespace(dedent=textwrap.dedent, fill=cache(textwrap.fill))
     if QUADRANTS:
+        importlib.import_module("taichi.lang.impl").PyQuadrants.clear_compiled_functions = forget_kernels
         return
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 

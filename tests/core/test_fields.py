@@ -1,6 +1,7 @@
 """Fields that are freed while kernels stay compiled."""
 
 import pytest
+import taichi as ti
 from taichi.lang import impl
 
 from core.fields import FieldGroup, destroy_fields
@@ -23,6 +24,30 @@ def test_kernels_are_kept_until_the_outermost_context_ends(ti_cpu):
             destroy_fields(Holder())
         assert runtime.clear_compiled_functions() is None and "clear_compiled_functions" in vars(runtime)
     assert runtime.clear_compiled_functions == method
+
+
+def test_other_fields_of_the_same_object_are_written_by_the_same_kernel(ti_cpu):
+    """The first ones are freed: what was compiled for them would write into other memory."""
+
+    @ti.data_oriented
+    class Holder:
+        def make(self, count: int):
+            self.group = FieldGroup()
+            self.field = self.group.scalar(count)
+            self.group.build()
+
+        @ti.kernel
+        def fill(self, value: ti.f32):
+            for i in self.field:
+                self.field[i] = value
+
+    holder, seen = Holder(), []
+    for count in (4, 9, 2):
+        holder.make(count)
+        holder.fill(count)
+        seen.append(holder.field.to_numpy().tolist())
+        holder.group.destroy()
+    assert seen == [4 * [4.0], 9 * [9.0], 2 * [2.0]]
 
 
 def test_too_many_fields_are_an_error_and_those_that_are_freed_do_not_count(ti_cpu, monkeypatch):

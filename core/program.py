@@ -62,8 +62,9 @@ def check_backend() -> None:
     wanted = os.environ.get("VRGS_BACKEND") or "taichi"
     if wanted not in ("taichi", "quadrants"):
         raise BadInput(f"VRGS_BACKEND={wanted}: it is taichi or quadrants")
-    if wanted == "quadrants" and find_spec("quadrants") is None:
-        raise BadInput("VRGS_BACKEND=quadrants needs that package: pip install -r requirements-quadrants.txt")
+    if find_spec(wanted) is None:
+        how = "pip install -r requirements-quadrants.txt" if wanted == "quadrants" else "it is for Python 3.11 to 3.13"
+        raise BadInput(f"VRGS_BACKEND={wanted} needs that package: {how}")
 
 
 def temporary_folder() -> Path:

@@ -212,6 +212,15 @@ def test_what_the_machine_cannot_do_is_said_in_one_line(monkeypatch, capsys, err
     assert line in said and said.count("\n") == 1
 
 
+@pytest.mark.parametrize("backend", ["taichi", "quadrants"])
+def test_a_back_end_that_is_missing_is_told_in_a_line(monkeypatch, capsys, backend):
+    monkeypatch.setenv("VRGS_BACKEND", backend)
+    monkeypatch.setattr("core.program.find_spec", lambda name: None)
+    assert vrgs.main(["scenes"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"vrgs: VRGS_BACKEND={backend} needs that package: ") and said.count("\n") == 1
+
+
 def test_an_unknown_back_end_is_refused(monkeypatch, capsys):
     monkeypatch.setenv("VRGS_BACKEND", "numpy")
     assert vrgs.main(["scenes"]) == 2

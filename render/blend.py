@@ -3,14 +3,15 @@
 C = sum c_i alpha_i T_i,  T_i = prod_{j<i} (1 - alpha_j),
 alpha_i = min(0.999, o_i exp(-0.5 d^T Sigma_2D^-1 d)).                    Kerbl 2023, eq. 3
 
-A CUDA block draws a tile of ACROSS x DOWN cells, CELL x CELL pixels each. Splats come through shared memory in batches.
-The thread that loads a splat finds the cells that it touches; a warp reads them as one bit per splat and visits the set
-bits, so that splats outside of its cell cost it nothing.
+A CUDA block draws a tile of cells, a warp each. Splats come through shared memory in batches. The thread that loads a
+splat finds the cells that it touches; a warp reads them as one bit per splat and visits the set bits, so that splats
+outside of its cell cost it nothing. A thread draws several pixels of a column: what a visit costs, whatever the pixels,
+is most of it for two, and a cell of four is still mostly filled by the splats of a capture.
 """
 
 import taichi as ti
 
-from core.lanes import dealt, first_of
+from core.lanes import WARP, dealt, first_of, vote
 from render.binning import TileBins
 from render.footprint import CUTOFF_BITS, horizontal_extent
 from render.radix_sort import value_of
@@ -19,16 +20,17 @@ ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weigh
 MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before its transmittance would fall to this
 CPU_TILE = 8  # [px] a row of a tile is one vector register of floats
 CHECK_INTERVAL = 16  # splats between two tests, on the CPU, of whether all pixels are finished
-CELL = 8  # [px]
-ACROSS, DOWN = 4, 2  # cells of a tile; larger tiles make fewer pairs to sort
-GPU_TILE = (ACROSS * CELL, DOWN * CELL)  # [px]
+GPU_TILE = (32, 16)  # [px]; larger tiles make fewer pairs to sort
+CELL = 8  # [px] width of a cell
+ACROSS = GPU_TILE[0] // CELL
 BATCH = 512  # splats in shared memory at a time; a power of two
 QUAD = 4 * BATCH  # words of shared memory between quads of a splat: its first four numbers, the next, the last two
 CELL_BITS = 2 * QUAD + 2  # first of the words that say which of 32 splats touch a cell
 INDEX = 2 * QUAD + 3  # word with the index of a splat's Gaussian, for gradients
-PIXELS = 2  # of a column, per thread: a cell is one warp
+PIXELS = 4  # of a column, per thread: a cell is one warp
 ROW_STEP = 32 // CELL  # [px] between a thread's pixels
-BLEND_THREADS = 32 * ACROSS * DOWN  # of a block
+CELL_HEIGHT = PIXELS * ROW_STEP  # [px]
+BLEND_THREADS = GPU_TILE[0] * GPU_TILE[1] // PIXELS  # of a block
 
 
 @ti.func
@@ -47,9 +49,10 @@ def exp2(x: ti.f32) -> ti.f32:
 
 
 @ti.func
-def pixel_of(x0, y0, cell, member, across: ti.template()):
-    """Column and row [px] of a pixel of a cell, in a tile that begins at (x0, y0) and is `across` cells wide."""
-    return x0 + cell % across * CELL + member % CELL, y0 + cell // across * CELL + member // CELL
+def pixel_of(x0, y0, cell, member, height: ti.template(), across: ti.template() = ACROSS):
+    """Column and row [px] of a pixel of a cell `height` [px] high, in a tile that begins at (x0, y0) and is `across`
+    cells wide."""
+    return x0 + cell % across * CELL + member % CELL, y0 + cell // across * height + member // CELL
 
 
 @ti.func
@@ -63,7 +66,7 @@ def covered_rows(y, half_height, top, bottom):
 @ti.func
 def load_batch(drawer: ti.template(), shared: ti.template(), v, first, end, lane, threads: ti.template(), x0, y0):
     """Load the next BATCH of the members first..end-1 of the bins; all threads of a block together, CUDA only."""
-    for load in range((BATCH + threads - 1) // threads):
+    for load in range((ti.min(BATCH, end - first) + threads - 1) // threads):
         j = load * threads + lane
         if j < BATCH:  # the same for the whole warp
             load_member(drawer, shared, v, first + j, j, ti.cast(first + j < end, ti.i32), x0, y0)
@@ -84,8 +87,10 @@ def load_member(drawer: ti.template(), shared: ti.template(), v, i, j, exists, x
     """Write member `i` of the bins at position `j` of the batch, and its bit to every cell that it touches.
 
     `drawer.words(v, g, mean2d, conic)` are the numbers of a splat that blending reads, ten at most; with
-    `drawer.keeps_index` the index of its Gaussian follows.
+    `drawer.keeps_index` the index of its Gaussian follows. Cells are `drawer.cell_height` [px] high.
     """
+    height = ti.static(drawer.cell_height)
+    down = ti.static(GPU_TILE[1] // height)
     touches = 0  # a bit for each cell
     if exists != 0:
         g = value_of(drawer.bins.members[i])
@@ -96,19 +101,15 @@ def load_member(drawer: ti.template(), shared: ti.template(), v, i, j, exists, x
             shared[QUAD * (k // 4) + at + k % 4] = words[k]
         if ti.static(drawer.keeps_index):
             shared[INDEX + 4 * j] = ti.bit_cast(ti.cast(g, ti.i32), ti.f32)
-        for row in ti.static(range(DOWN)):
-            top = y0 + row * CELL + 0.5
-            if mean2d.y - box[1] <= top + (CELL - 1) and mean2d.y + box[1] >= top:
-                left, right = horizontal_extent(top, top + (CELL - 1), mean2d, conic, box)
+        for row in ti.static(range(down)):
+            top = y0 + row * height + 0.5
+            if mean2d.y - box[1] <= top + (height - 1) and mean2d.y + box[1] >= top:
+                left, right = horizontal_extent(top, top + (height - 1), mean2d, conic, box)
                 for column in ti.static(range(ACROSS)):
                     if left <= x0 + column * CELL + CELL - 0.5 and right >= x0 + column * CELL + 0.5:
                         touches |= 1 << (row * ACROSS + column)
-    all_lanes = ti.u32(0xFFFFFFFF)
-    for cell in ti.static(range(ACROSS * DOWN)):
-        own = (touches >> cell) & 1
-        ones = ti.cast(ti.simt.warp.match_any(all_lanes, own), ti.u32)  # lanes with the same bit
-        if own == 0:
-            ones = ~ones
+    for cell in ti.static(range(ACROSS * down)):
+        ones = vote((touches >> cell) & 1, WARP)
         if j % 32 == cell:
             shared[CELL_BITS + 4 * j] = ti.bit_cast(ones, ti.f32)
 
@@ -126,7 +127,7 @@ class Blend:
         self.bins, self.projection, self.segments = bins, bins.projection, segments
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth = with_color, with_depth
-        self.on_gpu, self.keeps_index = ti.cfg.arch == ti.cuda, False
+        self.on_gpu, self.keeps_index, self.cell_height = ti.cfg.arch == ti.cuda, False, CELL_HEIGHT
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):
@@ -211,24 +212,23 @@ class Blend:
             tile, s = block // self.segments, block % self.segments
             v, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // 32, lane % 32
-            x, y = pixel_of(x0, y0, cell, member, ACROSS)
+            x, y = pixel_of(x0, y0, cell, member, CELL_HEIGHT)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
-            T, depth = ti.Vector([1.0] * PIXELS), ti.Vector([0.0] * PIXELS)
-            limit = ti.Vector([MIN_TRANSMITTANCE] * PIXELS)  # T must stay above it to go on; no T is above 1
+            T, depth = ti.Vector([1.0] * PIXELS), ti.Vector([0.0] * PIXELS)  # T is negated as on the CPU
             red, green, blue = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
             for p in ti.static(range(PIXELS)):
                 if not self.projection.inside(x, y + p * ROW_STEP):
-                    limit[p] = 1.0
+                    T[p] = -1.0
             begin, end = self._segment(tile, s)
             for batch in range((end - begin + BATCH - 1) // BATCH):
                 # the barrier also keeps the last batch in place until every thread has read it
-                if ti.simt.block.sync_all_nonzero(ti.cast(limit.min() == 1.0, ti.i32)) != 0:
+                if ti.simt.block.sync_all_nonzero(ti.cast(T.max() < 0.0, ti.i32)) != 0:
                     break
                 first = begin + batch * BATCH
                 load_batch(self, shared, v, first, end, lane, BLEND_THREADS, x0, y0)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
-                    while (bits != ti.u32(0)) & (limit.min() < 1.0):
+                    while (bits != ti.u32(0)) & (T.max() > 0.0):
                         splat = fetched(shared, group * 32 + first_of(bits), 12)
                         bits &= bits - ti.u32(1)
                         dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
@@ -236,12 +236,11 @@ class Blend:
                         for p in ti.static(range(PIXELS)):  # without branches: most splats of a cell touch some pixel
                             power = base - (dy + p * ROW_STEP) * (tilt + splat[6] * (dy + p * ROW_STEP))
                             alpha = ti.select(power < -CUTOFF_BITS, 0.0, ti.min(ALPHA_MAX, exp2(power)))
-                            after = T[p] - alpha * T[p]
-                            visible = after > limit[p]
-                            limit[p] = ti.select(visible, limit[p], 1.0)
-                            after = ti.select(visible, after, T[p])
-                            weight = T[p] - after
-                            T[p] = after
+                            weight = alpha * T[p]
+                            after = T[p] - weight
+                            visible = after > MIN_TRANSMITTANCE
+                            weight = ti.select(visible, weight, 0.0)
+                            T[p] = ti.select(visible, after, -ti.abs(T[p]))
                             if ti.static(self.with_depth):
                                 depth[p] += weight * splat[3]
                             if ti.static(self.with_color):
@@ -251,7 +250,7 @@ class Blend:
             for p in ti.static(range(PIXELS)):
                 if self.projection.inside(x, y + p * ROW_STEP):
                     rgb = ti.math.vec3(red[p], green[p], blue[p])
-                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - T[p])
+                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - ti.abs(T[p]))
 
     @ti.func
     def words(self, v, g, mean2d, conic):

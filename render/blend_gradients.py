@@ -8,12 +8,12 @@ from core.fields import FieldGroup
 from core.lanes import first_of
 from render.binning import TileBins
 from render.blend import (
-    ACROSS,
     ALPHA_MAX,
     BATCH,
     BLEND_THREADS,
     CELL,
     CELL_BITS,
+    CELL_HEIGHT,
     CHECK_INTERVAL,
     CPU_TILE,
     GPU_TILE,
@@ -82,6 +82,7 @@ class BlendGradients:
         self.background, self.has_background = background, background is not None
         self.with_geometry = with_geometry
         self.with_depth, self.on_gpu, self.keeps_index = with_depth, ti.cfg.arch == ti.cuda, True
+        self.cell_height = CELL_HEIGHT
         self.by_pixel = self.projection.with_slope
         if self.projection.views != 1:
             raise ValueError("gradients are those of one view")
@@ -223,11 +224,10 @@ class BlendGradients:
             tile, lane = thread // BLEND_THREADS, thread % BLEND_THREADS
             _, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // 32, lane % 32
-            x, y = pixel_of(x0, y0, cell, member, ACROSS)
+            x, y = pixel_of(x0, y0, cell, member, CELL_HEIGHT)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
             all_lanes = ti.u32(0xFFFFFFFF)
             T, behind = ti.Vector([1.0] * PIXELS), ti.Vector([0.0] * PIXELS)
-            limit = ti.Vector([MIN_TRANSMITTANCE] * PIXELS)  # T must stay above it to go on; no T is above 1
             red, green, blue = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
             depth, opaque = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
             for p in ti.static(range(PIXELS)):
@@ -236,19 +236,19 @@ class BlendGradients:
                     red[p], green[p], blue[p], depth[p], opaque[p] = d_c.r, d_c.g, d_c.b, d_sum, d_alpha
                     behind[p] = total
                 else:
-                    limit[p] = 1.0
+                    T[p] = -1.0
             place = place_of_lane(member)
             begin, end = self.bins.begin[tile], self.bins.end[tile]
             for batch in range((end - begin + BATCH - 1) // BATCH):
                 # the barrier also keeps the last batch in place until every thread has read it
-                if ti.simt.block.sync_all_nonzero(ti.cast(limit.min() == 1.0, ti.i32)) != 0:
+                if ti.simt.block.sync_all_nonzero(ti.cast(T.max() < 0.0, ti.i32)) != 0:
                     break
                 first = begin + batch * BATCH
                 load_batch(self, shared, 0, first, end, lane, BLEND_THREADS, x0, y0)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     # a warp goes through its splats together: all lanes add up what a splat gets from its cell
-                    if ti.simt.warp.any_nonzero(all_lanes, ti.cast(limit.min() < 1.0, ti.i32)) == 0:
+                    if ti.simt.warp.any_nonzero(all_lanes, ti.cast(T.max() > 0.0, ti.i32)) == 0:
                         bits = ti.u32(0)
                     while bits != ti.u32(0):
                         splat = fetched(shared, group * 32 + first_of(bits), 12)
@@ -263,11 +263,11 @@ class BlendGradients:
                             exact = ti.select(power < -CUTOFF_BITS, 0.0, exp2(power))
                             alpha = ti.min(ALPHA_MAX, exact)
                             before = T[p]
-                            after = before - alpha * before
-                            visible = after > limit[p]
-                            limit[p] = ti.select(visible, limit[p], 1.0)
-                            T[p] = ti.select(visible, after, before)
-                            weight = before - T[p]
+                            weight = alpha * before
+                            after = before - weight
+                            visible = after > MIN_TRANSMITTANCE
+                            weight = ti.select(visible, weight, 0.0)
+                            T[p] = ti.select(visible, after, -ti.abs(before))
                             value = red[p] * splat[7] + green[p] * splat[8] + blue[p] * splat[9]
                             if ti.static(self.has_background):
                                 value += opaque[p]
@@ -309,7 +309,7 @@ class BlendGradients:
             tile, lane = thread // pixels, thread % pixels
             _, x0, y0 = self.projection.place_of(tile, self.projection.tile)
             cell, member = lane // (CELL * CELL), lane % (CELL * CELL)
-            x, y = pixel_of(x0, y0, cell, member, ti.static(tile_width // CELL))
+            x, y = pixel_of(x0, y0, cell, member, CELL, ti.static(tile_width // CELL))
             begin, end = self.bins.begin[tile], self.bins.end[tile]
             if self.projection.inside(x, y) and begin < end:
                 d_c, d_sum, d_alpha_sum, behind = self.pixel(y, x)

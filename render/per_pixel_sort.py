@@ -10,7 +10,6 @@ import taichi as ti
 from core.lanes import dealt, first_of
 from render.binning import TileBins
 from render.blend import (
-    ACROSS,
     ALPHA_MAX,
     BATCH,
     CELL,
@@ -50,7 +49,7 @@ class PerPixelSort:
         self.bins, self.projection = bins, bins.projection
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth, self.buffer_size = with_color, with_depth, buffer_size
-        self.on_gpu, self.keeps_index = ti.cfg.arch == ti.cuda, False
+        self.on_gpu, self.keeps_index, self.cell_height = ti.cfg.arch == ti.cuda, False, CELL
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):
@@ -153,7 +152,7 @@ class PerPixelSort:
             tile, lane = thread // PIXEL_THREADS, thread % PIXEL_THREADS
             v, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // (CELL * CELL), lane % (CELL * CELL)  # a cell is two warps
-            x, y = pixel_of(x0, y0, cell, member, ACROSS)
+            x, y = pixel_of(x0, y0, cell, member, CELL)
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
             T, depth, rgb = 1.0, 0.0, ti.math.vec3(0.0)
             inv_depths, alphas = ti.Vector([EMPTY_INV_DEPTH] * self.buffer_size), ti.Vector([0.0] * self.buffer_size)

@@ -109,6 +109,17 @@ def rank_lanes(chosen, lane, lanes: ti.template()):
 
 
 @ti.func
+def sums_before(value, lane, lanes: ti.template()):
+    """Sum of an int over the lanes before this one, and over all."""
+    total = value
+    for distance in ti.static([1 << k for k in range(lanes.bit_length() - 1)]):
+        other = ti.simt.warp.shfl_up_i32(ti.u32(ALL), total, distance)
+        if lane >= distance:
+            total += other
+    return total - value, int_from_lane(total, lanes - 1, lanes)
+
+
+@ti.func
 def sync_lanes(lanes: ti.template()):
     """Wait for all lanes, and see what they have written."""
     if ti.static(lanes > 1):

@@ -3,6 +3,7 @@
 import taichi as ti
 
 from core.fields import FieldGroup
+from core.lanes import first_of, lane_count, sums_before, vote
 from render.footprint import tile_box
 from render.prefix_sum import PrefixSum
 from render.projection import Projection
@@ -42,15 +43,17 @@ class DepthOrder:
         return value_of(self.sorter.sorted_items[k])
 
     @ti.func
+    def number(self, k: ti.i32) -> ti.i32:
+        """Number of the pairs of the k-th Gaussian from the front."""
+        touched = 0
+        for v in range(self.projection.views):
+            touched += self.projection.tile_count(v, self.gaussian(k))
+        return touched
+
+    @ti.func
     def count_pairs(self):
         """Count the tiles of each Gaussian in order and scan the counts; outermost level of a kernel."""
-        for k in range(self.sorter.kept[None]):
-            g = self.gaussian(k)
-            touched = 0
-            for v in range(self.projection.views):
-                touched += self.projection.tile_count(v, g)
-            self.first_pair[k] = touched
-        self.scan.exclusive(self.first_pair, self.sorter.kept, self.first_pair)
+        self.scan.exclusive(self, self.sorter.kept, self.first_pair)
 
 
 @ti.data_oriented
@@ -59,22 +62,20 @@ class TileBins:
 
     `begin[t]..end[t]` of `members`, i64 items of (t, Gaussian), belong to tile t; tiles of all views are numbered
     row by row, view by view. With more pairs than `capacity` all bins are empty: the owner must compare `order.pairs`
-    and replace the bins by larger ones. `emit_threads` of them share a splat that exceeds a tile mask.
+    and replace the bins by larger ones.
     """
 
-    def __init__(self, order: DepthOrder, capacity: int, *, emit_threads: int | None = None):
+    def __init__(self, order: DepthOrder, capacity: int):
         self.order, self.projection, self.capacity = order, order.projection, capacity
         on_gpu = ti.cfg.arch == ti.cuda
         bits = max(MIN_TILE_BITS["cuda" if on_gpu else "cpu"], (self.tiles - 1).bit_length())
         self.tile_capacity = 1 << bits
         self.sorter = RadixSort(capacity, bits=bits)
         self.members = self.sorter.sorted_items
-        self.emit_threads = emit_threads or (32 if on_gpu else 1)
+        self.lanes = lane_count()
         self.fields = f = FieldGroup()
         with f.interleaved(self.tile_capacity):
             self.begin, self.end = (f.scalar(self.tile_capacity, dtype=ti.i32) for _ in range(2))
-        self.large = f.scalar(self.projection.splats.capacity, dtype=ti.i32)  # positions in order of large splats
-        self.large_count = f.scalar(dtype=ti.i32)
         f.build()
 
     @property
@@ -95,19 +96,22 @@ class TileBins:
 
     @ti.func
     def emit(self):
-        """Write all pairs in depth order; outermost level of a kernel."""
+        """Write all pairs in depth order; outermost level of a kernel.
+
+        A lane has a Gaussian; then all lanes share each one whose splat exceeds a tile mask.
+        """
         self.sorter.count[None] = 0
-        self.large_count[None] = 0
         if self.order.pairs[None] <= self.capacity:
             self.sorter.count[None] = self.order.pairs[None]
-        for k in range(self.order.sorter.kept[None]):
-            if self.sorter.count[None] > 0:
-                larger = self._emit_masked(self.order.gaussian(k), self.order.first_pair[k])
-                if larger:
-                    self.large[ti.atomic_add(self.large_count[None], 1)] = k
-        for i in range(self.large_count[None] * self.emit_threads):
-            k = self.large[i // self.emit_threads]
-            self._emit_large(self.order.gaussian(k), self.order.first_pair[k], i % self.emit_threads)
+        for step in range((self.order.sorter.kept[None] + self.lanes - 1) // self.lanes * self.lanes):
+            larger = False
+            if step < self.order.sorter.kept[None] and self.sorter.count[None] > 0:
+                larger = self._emit_masked(self.order.gaussian(step), self.order.first_pair[step])
+            waiting = vote(larger, self.lanes)
+            while waiting != ti.u32(0):
+                k = step - step % self.lanes + first_of(waiting)
+                waiting &= waiting - ti.u32(1)
+                self._emit_large(self.order.gaussian(k), self.order.first_pair[k], step % self.lanes)
 
     @ti.func
     def find_ranges(self):
@@ -145,25 +149,25 @@ class TileBins:
         return left_over
 
     @ti.func
-    def _emit_large(self, g: ti.i32, pair: ti.i32, member: ti.i32):
-        """Write every `emit_threads`-th row, from row `member` on, of a Gaussian's splats without a tile mask."""
+    def _emit_large(self, g: ti.i32, pair: ti.i32, lane: ti.i32):
+        """Write the pairs of a Gaussian's splats without a tile mask; each lane has every so many rows."""
         for v in range(self.projection.views):
             if self.projection.tile_mask[v, g][1] >= 0:
                 pair += self.projection.tile_count(v, g)
             else:
                 p = self.projection
                 left, right, top, bottom = tile_box(p.mean2d[v, g], p.box[v, g], p.tile, p.grid)
-                for row in range(top, bottom):
-                    first, last = p.columns_in(v, g, row, left, right)
-                    own, tile, at = (row - top) % self.emit_threads == member, p.tile_at(v, row, 0), pair + last - first
-                    if own or ti.static(p.compares):
-                        at, column = pair, first
-                        # The second bound is read again at each step, else the loop's vectorised forms take half a
-                        # second to compile.
-                        while column < ti.min(last, p.grid[None][2]):
-                            if p.draws(tile + column):
-                                if own:
-                                    self.sorter.items[at] = item_of(tile + column, g)
-                                at += 1
-                            column += 1
-                    pair = at
+                for step in range((bottom - top + self.lanes - 1) // self.lanes):
+                    row, column, last = top + step * self.lanes + lane, 0, 0
+                    if row < bottom:
+                        column, last = p.columns_in(v, g, row, left, right)
+                    before, all_rows = sums_before(last - column, lane, self.lanes)
+                    tile, at = p.tile_at(v, row, 0), pair + before
+                    # The second bound is read again at each step, else the loop's vectorised forms take half a
+                    # second to compile.
+                    while column < ti.min(last, p.grid[None][2]):
+                        if p.draws(tile + column):
+                            self.sorter.items[at] = item_of(tile + column, g)
+                            at += 1
+                        column += 1
+                    pair = pair + all_rows if ti.static(self.lanes > 1) else at  # one lane may leave out tiles

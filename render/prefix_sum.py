@@ -67,18 +67,18 @@ class PrefixSum:
         self.fields.destroy()
 
     @ti.func
-    def exclusive(self, values: ti.template(), count: ti.template(), offsets: ti.template()):
-        """Out: offsets[i] = values[0] + ... + values[i-1] for i < count[None]; `total` = the sum of all.
+    def exclusive(self, source: ti.template(), count: ti.template(), offsets: ti.template()):
+        """Out: offsets[i] = source.number(0) + ... + source.number(i-1) for i < count[None]; `total` = the sum of all.
 
-        To be called at the outermost level of a kernel. `offsets` may be `values`.
+        To be called at the outermost level of a kernel.
         """
         if ti.static(self.on_gpu):
-            self._exclusive_gpu(values, count, offsets)
+            self._exclusive_gpu(source, count, offsets)
         else:
-            self._exclusive_cpu(values, count, offsets)
+            self._exclusive_cpu(source, count, offsets)
 
     @ti.func
-    def _exclusive_cpu(self, values: ti.template(), count: ti.template(), offsets: ti.template()):
+    def _exclusive_cpu(self, source: ti.template(), count: ti.template(), offsets: ti.template()):
         for step in range(self.chunks * RUN):
             if not begins(step):
                 continue
@@ -86,7 +86,8 @@ class PrefixSum:
             length = (count[None] + self.chunks - 1) // self.chunks
             total = 0
             for i in range(c * length, ti.min((c + 1) * length, count[None])):
-                total = saturating_add(total, values[i])
+                offsets[i] = source.number(i)
+                total = saturating_add(total, offsets[i])
             self.sums[c] = total
         running = 0
         ti.loop_config(serialize=True)
@@ -102,12 +103,12 @@ class PrefixSum:
             length = (count[None] + self.chunks - 1) // self.chunks
             before = self.sums[c]
             for i in range(c * length, ti.min((c + 1) * length, count[None])):
-                value = values[i]
+                value = offsets[i]
                 offsets[i] = before
                 before = saturating_add(before, value)
 
     @ti.func
-    def _exclusive_gpu(self, values: ti.template(), count: ti.template(), offsets: ti.template()):
+    def _exclusive_gpu(self, source: ti.template(), count: ti.template(), offsets: ti.template()):
         ti.loop_config(block_dim=BLOCK)
         for thread in range(self.chunks * BLOCK):
             c, lane = thread // BLOCK, thread % BLOCK
@@ -115,7 +116,8 @@ class PrefixSum:
             if c * BLOCK * SCAN_ITEMS < count[None]:  # the same for the whole block
                 own = 0
                 for i in range(first, ti.min(first + SCAN_ITEMS, count[None])):
-                    own = saturating_add(own, values[i])
+                    offsets[i] = source.number(i)
+                    own = saturating_add(own, offsets[i])
                 shared = ti.simt.block.SharedArray((SHARED_WORDS,), ti.i32)
                 before = block_exclusive(shared, own, lane)
                 if lane == BLOCK - 1:
@@ -143,10 +145,10 @@ class PrefixSum:
             if c * BLOCK * SCAN_ITEMS < count[None]:
                 own = 0
                 for i in range(first, ti.min(first + SCAN_ITEMS, count[None])):
-                    own = saturating_add(own, values[i])
+                    own = saturating_add(own, offsets[i])
                 shared = ti.simt.block.SharedArray((SHARED_WORDS,), ti.i32)
                 before = saturating_add(self.sums[c], block_exclusive(shared, own, lane))
                 for i in range(first, ti.min(first + SCAN_ITEMS, count[None])):
-                    value = values[i]
+                    value = offsets[i]
                     offsets[i] = before
                     before = saturating_add(before, value)

@@ -77,27 +77,6 @@ def test_splats_and_their_tiles_equal_the_twin(drawings, antialias):
     assert binned.sum() < 1.1 * needed.sum()  # a strip's span counts between pixel centres, too
 
 
-def test_threads_may_share_a_large_splat(drawings):
-    import taichi as ti
-
-    from render.binning import TileBins
-
-    rasterizer = drawings[False].rasterizer
-    drawings[False].draw(gaussians(1500, 0), [CAMERA])
-    alone, shared = (TileBins(rasterizer.order, rasterizer.pair_capacity, emit_threads=n) for n in (1, 32))
-
-    @ti.kernel
-    def fill(bins: ti.template()):
-        bins.emit()
-        bins.sorter.sort()
-        bins.find_ranges()
-
-    for bins in (alone, shared):
-        fill(bins)
-    for a, b in zip(members_of_tiles(alone), members_of_tiles(shared), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_colors_equal_the_twin(ti_cpu, degree):
     import taichi as ti

@@ -28,9 +28,15 @@ def machines(ti_cpu):
     scan, numbers, offsets = PrefixSum(CAPACITY), ti.field(ti.i32, CAPACITY), ti.field(ti.i32, CAPACITY)
     count = ti.field(ti.i32, ())
 
+    @ti.func
+    def number(i):
+        return numbers[i]
+
+    source = SimpleNamespace(number=number)
+
     @ti.kernel
     def run_scan():
-        scan.exclusive(numbers, count, offsets)
+        scan.exclusive(source, count, offsets)
 
     def sorter(**options):
         made = RadixSort(CAPACITY, **options)

@@ -62,7 +62,7 @@ class Rasterizer:
         self._with_color, self._with_depth = color, depth
         self._segments = segments
         self._buffer_size = buffer_size if sort == "pixel" else None
-        self._cameras: dict[int, list[float]] = {}  # on the device, by view
+        self._cameras: list[list[float]] = []  # on the device
         self.tile_pass = self._tile_pass(min(PAIRS_PER_GAUSSIAN * views * splats.capacity, MAX_INITIAL_PAIRS))
 
     def draw(self, out, begin: int = 0, end: int | None = None, *, wait: bool = True) -> None:
@@ -134,12 +134,12 @@ class Rasterizer:
         """Draw all anew: what was said to stand still has moved."""
         self._kept, self._last = 0, None
 
-    def set_camera(self, view: int, camera: Camera) -> None:
-        """Set the camera of a view; its size must be the rasterizer's."""
-        values = camera_values(camera)
-        if self._cameras.get(view) != values:
-            self.projection.set_camera(view, *values)
-            self._cameras[view], self._kept, self._last = values, 0, None
+    def set_cameras(self, cameras: list[Camera]) -> None:
+        """Set the cameras of all views; their size must be the rasterizer's."""
+        values = [camera_values(camera) for camera in cameras]
+        if self._cameras != values:
+            self.projection.set_cameras(values)
+            self._cameras, self._kept, self._last = values, 0, None
 
     def destroy(self) -> None:
         """Free the device memory."""

@@ -154,7 +154,7 @@ class Renderer:
                 raise ValueError(
                     f"camera {v} is {camera.width}x{camera.height}, the renderer {self.width}x{self.height}"
                 )
-            self.rasterizer.set_camera(v, camera)
+        self.rasterizer.set_cameras(cameras)
         self.rasterizer.draw(self._out, wait=wait)
 
     def finish(self) -> None:

@@ -179,7 +179,7 @@ class ShadowMap:
         focal = half / min(self._radius / distance, MAX_TANGENT)
         view = look_at(self._eye, self.light.target)
         camera = Camera(self.resolution, self.resolution, focal, focal, half, half, view)
-        self.rasterizer.projection.set_camera(0, *camera_values(camera))
+        self.rasterizer.projection.set_cameras([camera_values(camera)])
         self._aim_static(distance - CASTING_FRACTION * min(distance, self._radius))
         self.rasterizer.draw(STATIC, 0, self.begin)
         self.map.join(STATIC)

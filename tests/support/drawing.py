@@ -38,8 +38,7 @@ class Drawing:
         for image in images:
             image.fill(UNTOUCHED)
         self.rasterizer.resize(width, height)
-        for v, camera in enumerate(cameras):
-            self.rasterizer.set_camera(v, camera)
+        self.rasterizer.set_cameras(cameras)
         self.rasterizer.draw(0)
         found = [image.to_numpy() for image in images]
         for image in found:

@@ -135,6 +135,7 @@ class Projection:
         """
         if ti.static(self.compares):
             self.changed.begin(whole)
+        sorter.count[None] = ti.max(end - begin, 0)
         for k in range(end - begin):
             g = begin + dealt(k, end - begin)
             key, c = ti.u32(DROPPED), vec3(0.0)
@@ -151,7 +152,6 @@ class Projection:
                     for v in range(self.views):
                         self._set_color(v, g, c)
             sorter.items[g - begin] = item_of(key, g)
-        sorter.count[None] = ti.max(end - begin, 0)
 
     @ti.func
     def drop_unchanged(self, sorter: ti.template()):

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from core.fields import FieldGroup
-from core.lanes import first_of, lane_count, sums_before, vote
+from core.lanes import lane_count, sums_before
 from render.footprint import tile_box
 from render.prefix_sum import PrefixSum
 from render.projection import Projection
@@ -76,6 +76,8 @@ class TileBins:
         self.fields = f = FieldGroup()
         with f.interleaved(self.tile_capacity):
             self.begin, self.end = (f.scalar(self.tile_capacity, dtype=ti.i32) for _ in range(2))
+        self.large = f.scalar(self.projection.splats.capacity, dtype=ti.i32)  # positions in order of large splats
+        self.large_count = f.scalar(dtype=ti.i32)
         f.build()
 
     @property
@@ -98,24 +100,23 @@ class TileBins:
     def emit(self):
         """Write all pairs in depth order, and empty all tiles; outermost level of a kernel.
 
-        A lane has a Gaussian; then all lanes share each one whose splat exceeds a tile mask. A loop more, over tiles,
-        would take 10 us on CUDA.
+        A Gaussian whose splat exceeds a tile mask waits for the second loop, where lanes share it: a capture has
+        thousands behind each other that cover much of the picture.
         """
+        self.large_count[None] = 0
         self.sorter.count[None] = 0
         if self.order.pairs[None] <= self.capacity:
             self.sorter.count[None] = self.order.pairs[None]
-        tiles = self.projection.views * self.tiles_per_view()
-        for step in range((ti.max(self.order.sorter.kept[None], tiles) + self.lanes - 1) // self.lanes * self.lanes):
-            if step < self.projection.views * self.tiles_per_view():
-                self.begin[step], self.end[step] = 0, 0
-            larger = False
-            if step < self.order.sorter.kept[None] and self.sorter.count[None] > 0:
-                larger = self._emit_masked(self.order.gaussian(step), self.order.first_pair[step])
-            waiting = vote(larger, self.lanes)
-            while waiting != ti.u32(0):
-                k = step - step % self.lanes + first_of(waiting)
-                waiting &= waiting - ti.u32(1)
-                self._emit_large(self.order.gaussian(k), self.order.first_pair[k], step % self.lanes)
+        for k in range(ti.max(self.order.sorter.kept[None], self.projection.views * self.tiles_per_view())):
+            if k < self.projection.views * self.tiles_per_view():
+                self.begin[k], self.end[k] = 0, 0
+            if k < self.order.sorter.kept[None] and self.sorter.count[None] > 0:
+                larger = self._emit_masked(self.order.gaussian(k), self.order.first_pair[k])
+                if larger:
+                    self.large[ti.atomic_add(self.large_count[None], 1)] = k
+        for i in range(self.large_count[None] * self.lanes):
+            k = self.large[i // self.lanes]
+            self._emit_large(self.order.gaussian(k), self.order.first_pair[k], i % self.lanes)
 
     @ti.func
     def find_ranges(self):

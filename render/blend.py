@@ -5,8 +5,7 @@ alpha_i = min(0.999, o_i exp(-0.5 d^T Sigma_2D^-1 d)).                    Kerbl 
 
 A CUDA block draws a tile of cells, a warp each. Splats come through shared memory in batches. The thread that loads a
 splat finds the cells that it touches; a warp reads them as one bit per splat and visits the set bits, so that splats
-outside of its cell cost it nothing. A thread draws several pixels of a column: what a visit costs, whatever the pixels,
-is most of it for two, and a cell of four is still mostly filled by the splats of a capture.
+outside of its cell cost it nothing. A thread draws PIXELS of a column, or twice as many in a large picture.
 """
 
 import taichi as ti
@@ -27,10 +26,12 @@ BATCH = 512  # splats in shared memory at a time; a power of two
 QUAD = 4 * BATCH  # words of shared memory between quads of a splat: its first four numbers, the next, the last two
 CELL_BITS = 2 * QUAD + 2  # first of the words that say which of 32 splats touch a cell
 INDEX = 2 * QUAD + 3  # word with the index of a splat's Gaussian, for gradients
-PIXELS = 4  # of a column, per thread: a cell is one warp
+PIXELS = 2  # of a column, per thread: a cell is one warp
 ROW_STEP = 32 // CELL  # [px] between a thread's pixels
-CELL_HEIGHT = PIXELS * ROW_STEP  # [px]
-BLEND_THREADS = GPU_TILE[0] * GPU_TILE[1] // PIXELS  # of a block
+TILE_PIXELS = GPU_TILE[0] * GPU_TILE[1]
+# From this many tiles on, a thread has 2 PIXELS: half the work that does not depend on the pixels, and still enough
+# warps. Two eyes of 1800 x 1920 take a tenth less, a photograph of 540 x 960 would take a quarter more.
+MANY_TILES = 4096
 
 
 @ti.func
@@ -87,9 +88,9 @@ def load_member(drawer: ti.template(), shared: ti.template(), v, i, j, exists, x
     """Write member `i` of the bins at position `j` of the batch, and its bit to every cell that it touches.
 
     `drawer.words(v, g, mean2d, conic)` are the numbers of a splat that blending reads, ten at most; with
-    `drawer.keeps_index` the index of its Gaussian follows. Cells are `drawer.cell_height` [px] high.
+    `drawer.keeps_index` the index of its Gaussian follows. A thread draws `drawer.pixels` of a column.
     """
-    height = ti.static(drawer.cell_height)
+    height = ti.static(drawer.pixels * ROW_STEP)  # [px] of a cell
     down = ti.static(GPU_TILE[1] // height)
     touches = 0  # a bit for each cell
     if exists != 0:
@@ -127,7 +128,8 @@ class Blend:
         self.bins, self.projection, self.segments = bins, bins.projection, segments
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth = with_color, with_depth
-        self.on_gpu, self.keeps_index, self.cell_height = ti.cfg.arch == ti.cuda, False, CELL_HEIGHT
+        self.on_gpu, self.keeps_index = ti.cfg.arch == ti.cuda, False
+        self.pixels = PIXELS if segments * bins.tiles < MANY_TILES else 2 * PIXELS
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):
@@ -205,18 +207,19 @@ class Blend:
 
     @ti.func
     def _draw_gpu(self, sink: ti.template(), out: ti.template()):
-        """One tile per block of threads, one cell per warp, PIXELS of a column per thread."""
-        ti.loop_config(block_dim=BLEND_THREADS)
-        for thread in range(self.projection.views * self.bins.tiles_per_view() * self.segments * BLEND_THREADS):
-            block, lane = thread // BLEND_THREADS, thread % BLEND_THREADS
+        """One tile per block of threads, one cell per warp, `pixels` of a column per thread."""
+        pixels, threads = ti.static(self.pixels, TILE_PIXELS // self.pixels)
+        ti.loop_config(block_dim=threads)
+        for thread in range(self.projection.views * self.bins.tiles_per_view() * self.segments * threads):
+            block, lane = thread // threads, thread % threads
             tile, s = block // self.segments, block % self.segments
             v, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // 32, lane % 32
-            x, y = pixel_of(x0, y0, cell, member, CELL_HEIGHT)
+            x, y = pixel_of(x0, y0, cell, member, ti.static(pixels * ROW_STEP))
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
-            T, depth = ti.Vector([1.0] * PIXELS), ti.Vector([0.0] * PIXELS)  # T is negated as on the CPU
-            red, green, blue = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
-            for p in ti.static(range(PIXELS)):
+            T, depth = ti.Vector([1.0] * pixels), ti.Vector([0.0] * pixels)  # T is negated as on the CPU
+            red, green, blue = ti.Vector([0.0] * pixels), ti.Vector([0.0] * pixels), ti.Vector([0.0] * pixels)
+            for p in ti.static(range(pixels)):
                 if not self.projection.inside(x, y + p * ROW_STEP):
                     T[p] = -1.0
             begin, end = self._segment(tile, s)
@@ -225,7 +228,7 @@ class Blend:
                 if ti.simt.block.sync_all_nonzero(ti.cast(T.max() < 0.0, ti.i32)) != 0:
                     break
                 first = begin + batch * BATCH
-                load_batch(self, shared, v, first, end, lane, BLEND_THREADS, x0, y0)
+                load_batch(self, shared, v, first, end, lane, threads, x0, y0)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     while (bits != ti.u32(0)) & (T.max() > 0.0):
@@ -233,7 +236,7 @@ class Blend:
                         bits &= bits - ti.u32(1)
                         dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
                         tilt, base = splat[5] * dx, splat[2] - splat[4] * dx * dx
-                        for p in ti.static(range(PIXELS)):  # without branches: most splats of a cell touch some pixel
+                        for p in ti.static(range(pixels)):  # without branches: most splats of a cell touch some pixel
                             power = base - (dy + p * ROW_STEP) * (tilt + splat[6] * (dy + p * ROW_STEP))
                             alpha = ti.select(power < -CUTOFF_BITS, 0.0, ti.min(ALPHA_MAX, exp2(power)))
                             weight = alpha * T[p]
@@ -247,7 +250,7 @@ class Blend:
                                 red[p] += weight * splat[7]
                                 green[p] += weight * splat[8]
                                 blue[p] += weight * splat[9]
-            for p in ti.static(range(PIXELS)):
+            for p in ti.static(range(pixels)):
                 if self.projection.inside(x, y + p * ROW_STEP):
                     rgb = ti.math.vec3(red[p], green[p], blue[p])
                     sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - ti.abs(T[p]))

@@ -10,10 +10,8 @@ from render.binning import TileBins
 from render.blend import (
     ALPHA_MAX,
     BATCH,
-    BLEND_THREADS,
     CELL,
     CELL_BITS,
-    CELL_HEIGHT,
     CHECK_INTERVAL,
     CPU_TILE,
     GPU_TILE,
@@ -21,6 +19,7 @@ from render.blend import (
     PIXELS,
     QUAD,
     ROW_STEP,
+    TILE_PIXELS,
     covered_rows,
     exp2,
     fetched,
@@ -82,7 +81,7 @@ class BlendGradients:
         self.background, self.has_background = background, background is not None
         self.with_geometry = with_geometry
         self.with_depth, self.on_gpu, self.keeps_index = with_depth, ti.cfg.arch == ti.cuda, True
-        self.cell_height = CELL_HEIGHT
+        self.pixels = PIXELS
         self.by_pixel = self.projection.with_slope
         if self.projection.views != 1:
             raise ValueError("gradients are those of one view")
@@ -219,12 +218,13 @@ class BlendGradients:
     @ti.func
     def _backward_gpu(self):
         """One tile per block of threads, one cell per warp, PIXELS of a column per thread, as `Blend` draws."""
-        ti.loop_config(block_dim=BLEND_THREADS)
-        for thread in range(self.bins.tiles_per_view() * BLEND_THREADS):
-            tile, lane = thread // BLEND_THREADS, thread % BLEND_THREADS
+        threads = ti.static(TILE_PIXELS // PIXELS)
+        ti.loop_config(block_dim=threads)
+        for thread in range(self.bins.tiles_per_view() * threads):
+            tile, lane = thread // threads, thread % threads
             _, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // 32, lane % 32
-            x, y = pixel_of(x0, y0, cell, member, CELL_HEIGHT)
+            x, y = pixel_of(x0, y0, cell, member, ti.static(PIXELS * ROW_STEP))
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
             all_lanes = ti.u32(0xFFFFFFFF)
             T, behind = ti.Vector([1.0] * PIXELS), ti.Vector([0.0] * PIXELS)
@@ -244,7 +244,7 @@ class BlendGradients:
                 if ti.simt.block.sync_all_nonzero(ti.cast(T.max() < 0.0, ti.i32)) != 0:
                     break
                 first = begin + batch * BATCH
-                load_batch(self, shared, 0, first, end, lane, BLEND_THREADS, x0, y0)
+                load_batch(self, shared, 0, first, end, lane, threads, x0, y0)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     # a warp goes through its splats together: all lanes add up what a splat gets from its cell

@@ -18,6 +18,7 @@ from render.blend import (
     CPU_TILE,
     GPU_TILE,
     MIN_TRANSMITTANCE,
+    PIXELS,
     QUAD,
     exp2,
     fetched,
@@ -49,7 +50,7 @@ class PerPixelSort:
         self.bins, self.projection = bins, bins.projection
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth, self.buffer_size = with_color, with_depth, buffer_size
-        self.on_gpu, self.keeps_index, self.cell_height = ti.cfg.arch == ti.cuda, False, CELL
+        self.on_gpu, self.keeps_index, self.pixels = ti.cfg.arch == ti.cuda, False, PIXELS
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):

@@ -1,7 +1,12 @@
 """Libraries of a Linux desktop that the program needs, each after those it needs: its own copies are a last resort.
 
-The system's OpenGL drivers need its own C++ runtime, which may be newer; Taichi needs libX11 even without a window.
+The system's OpenGL drivers need its own C++ runtime, which may be newer; Taichi needs libX11 even without a window. In the
+one-file program this is a step of the start, which loads them: the system's libraries and programs stay what they are.
 """
+
+import ctypes
+import os
+import sys
 
 LIBRARIES = (
     "libgcc_s.so.1",
@@ -13,3 +18,15 @@ LIBRARIES = (
     "libxcb.so.1",
     "libX11.so.6",
 )
+
+if hasattr(sys, "_MEIPASS"):
+    for name in LIBRARIES:
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            ctypes.CDLL(os.path.join(sys._MEIPASS, "fallback", name))
+    # Programs that this one starts, a file dialog or a browser, are to load their own libraries.
+    before = os.environ.pop("LD_LIBRARY_PATH_ORIG", None)
+    os.environ.pop("LD_LIBRARY_PATH", None)
+    if before is not None:
+        os.environ["LD_LIBRARY_PATH"] = before

@@ -21,7 +21,7 @@ import numpy as np
 from assets.file_access import atomic_write
 from assets.formats.spz import spz_bytes
 from assets.gaussians import Gaussians, concatenate
-from display.keep.scene_export import gaussians_of, moving_bodies
+from display.keep.shown_scene import gaussians_of, moving_bodies
 from display.viewed_file import view_around
 from display.world import World
 from display.xr.hand_joints import JOINT_COUNT

@@ -30,7 +30,7 @@ from core.program import VERSION
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
 from core.tetmesh import enclosed_volume
 from core.vocabulary import Box, Capsule, Plane
-from display.keep.scene_export import MovingBody, fitted_pose, gaussians_of, moving_bodies, shown_gaussians
+from display.keep.shown_scene import MovingBody, fitted_pose, gaussians_of, moving_bodies, shown_gaussians
 from display.world import World
 from sim.bodies import solid_inertia
 from sim.contact.static_shapes import Shape

@@ -23,8 +23,9 @@ from core.rotation import matrices_from_quaternions
 from core.tetmesh import tet_volumes
 from core.vocabulary import Body, Hand, Light, Plane
 from display import user_commands as cmd
-from display.keep.scene_export import exporter, moving_bodies, shown_gaussians, von_mises
+from display.keep.scene_export import exporter, von_mises
 from display.keep.scene_state import game_state, game_values, located, put_state, state_of
+from display.keep.shown_scene import moving_bodies, shown_gaussians
 from display.keep.state_file import read_state, write_state
 from display.picture import pixels_of
 from display.protocol import Frame

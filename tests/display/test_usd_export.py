@@ -14,7 +14,8 @@ from core.rotation import matrices_from_quaternions
 from core.tetmesh import enclosed_volume, tet_volumes
 from core.vocabulary import Body, Box, Capsule, Hand, Light, Plane
 from display import user_commands as cmd
-from display.keep.scene_export import exporter, gaussians_of, moving_bodies, shown_gaussians
+from display.keep.scene_export import exporter
+from display.keep.shown_scene import gaussians_of, moving_bodies, shown_gaussians
 from display.protocol import Frame
 from prepare.cage.cage_file import read_cage
 from scenes.scene import Scene

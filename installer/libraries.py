@@ -1,7 +1,7 @@
 """Libraries of a Linux desktop that the program needs, each after those it needs: its own copies are a last resort.
 
-The system's OpenGL drivers need its own C++ runtime, which may be newer; Taichi needs libX11 even without a window. In the
-one-file program this is a step of the start, which loads them: the system's libraries and programs stay what they are.
+The system's OpenGL drivers need its own C++ runtime, which may be newer; Taichi needs libX11 even without a window. The
+one-file program loads them at its start by this file: the system's libraries and programs stay what they are.
 """
 
 import ctypes

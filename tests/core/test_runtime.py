@@ -24,6 +24,7 @@ from core.runtime import (
     Graph,
     KernelMethod,
     interrupts_held,
+    intrinsic_function,
     is_sound_index,
     mend_kernel_cache,
 )
@@ -116,6 +117,28 @@ def test_launches_are_repeated_in_their_order_with_their_numbers(ti_cpu):
     digits[None] = 0
     graph.run()
     assert digits[None] == 4294
+
+
+@pytest.mark.skipif(QUADRANTS, reason="it has the functions of Taichi alone")
+@pytest.mark.parametrize("cache", ["folder", "file"])
+def test_kernels_call_what_taichi_has_no_name_for(ti_cpu, tmp_path, monkeypatch, cache):
+    (tmp_path / "file").touch()  # a cache that cannot be made
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / cache))
+    root, found = intrinsic_function("llvm.sqrt.f32"), ti.field(ti.f32, 100)
+
+    @ti.kernel
+    def fill():
+        for i in found:
+            x = ti.cast(i, ti.f32)
+            root(x)
+            found[i] = x
+        for i in found:
+            x = ti.cast(i, ti.f32)
+            root(x)
+            found[i] += x
+
+    fill()
+    np.testing.assert_allclose(found.to_numpy(), 2 * np.sqrt(np.arange(100)), rtol=1e-6)
 
 
 @pytest.mark.parametrize("backend, python", [("quadrants", (3, 11)), ("", (3, 14))])

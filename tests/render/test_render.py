@@ -46,6 +46,24 @@ def test_pictures_equal_those_of_gsplat(drawings, shared, name):
         assert depth_error.max() <= 2e-3 * truth["depth"][v].max()  # half an ulp of float16 is 5e-4
 
 
+def test_powers_of_two_equal_numpys(ti_cpu):
+    import taichi as ti
+
+    from render.blend import CUTOFF_BITS, exp2
+
+    x = np.linspace(-CUTOFF_BITS, 0.01, 10_000).astype(np.float32)
+    values = ti.field(ti.f32, len(x))
+    values.from_numpy(x)
+
+    @ti.kernel
+    def raise_two():
+        for i in values:
+            values[i] = exp2(values[i])
+
+    raise_two()
+    np.testing.assert_allclose(values.to_numpy(), 2 ** x.astype(np.float64), rtol=5e-6)
+
+
 def test_more_pairs_than_the_capacity_draw_the_same_picture(ti_cpu):
     """Gaussians that cover the picture need far more pairs than the first buffers hold."""
     g = cloud(np.random.default_rng(3), 200, size=1.0).with_sh_degree(0)

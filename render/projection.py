@@ -101,27 +101,11 @@ class Projection:
         """Free the device memory."""
         self.fields.destroy()
 
-    def set_cameras(self, values: list[list[float]]) -> None:
-        """Set the camera of each view to the numbers of `camera_values`."""
-        words = np.array(values, np.float32).view(np.int64).tolist()
-        for v in range(0, self.views, 2):
-            self._set_two_cameras(v, *words[v], *words[min(v + 1, self.views - 1)])
-
-    @ti.kernel
-    def _set_two_cameras(
-        self, v: ti.i32,
-        a0: ti.i64, a1: ti.i64, a2: ti.i64, a3: ti.i64, a4: ti.i64, a5: ti.i64, a6: ti.i64, a7: ti.i64,
-        b0: ti.i64, b1: ti.i64, b2: ti.i64, b3: ti.i64, b4: ti.i64, b5: ti.i64, b6: ti.i64, b7: ti.i64,
-    ):  # fmt: skip
-        """Set the cameras of views `v` and, if it exists, `v` + 1; a word holds two numbers.
-
-        Scalars need no copy to wait for, and a matrix argument takes four times as long to pass.
-        """
-        first, second = ti.Vector([a0, a1, a2, a3, a4, a5, a6, a7]), ti.Vector([b0, b1, b2, b3, b4, b5, b6, b7])
+    @ti.func
+    def set_camera(self, v: ti.template(), words: ti.template()):
+        """Set the camera of a view to `camera_words`."""
         for k in ti.static(range(4)):
-            self.camera[v, k] = vec4(*two_numbers(first[2 * k]), *two_numbers(first[2 * k + 1]))
-            if v + 1 < self.views:
-                self.camera[v + 1, k] = vec4(*two_numbers(second[2 * k]), *two_numbers(second[2 * k + 1]))
+            self.camera[v, k] = vec4(*two_numbers(words[2 * k]), *two_numbers(words[2 * k + 1]))
 
     @ti.func
     def project(self, begin: ti.i32, end: ti.i32, kept: ti.i32, whole: ti.i32, sorter: ti.template()):
@@ -347,6 +331,11 @@ def camera_values(camera: Camera) -> list[float]:
     """Three rows of world_to_camera, then fx, fy, cx, cy: 16 numbers."""
     rows = np.asarray(camera.world_to_camera, np.float64)[:3].ravel().tolist()
     return [*rows, camera.fx, camera.fy, camera.cx, camera.cy]
+
+
+def camera_words(camera: Camera) -> list[int]:
+    """`camera_values` as float32, two in each of 8 words: half as many arguments of a kernel."""
+    return np.array(camera_values(camera), np.float32).view(np.int64).tolist()
 
 
 @ti.func

@@ -9,17 +9,18 @@ from render.binning import DepthOrder, TileBins
 from render.blend import CPU_TILE, GPU_TILE, Blend
 from render.footprint import ChangedTiles
 from render.per_pixel_sort import BUFFER_SIZE, PerPixelSort
-from render.projection import Projection, camera_values
+from render.projection import Projection, camera_words
 from render.splats import Splats
 
 PAIRS_PER_GAUSSIAN = 8  # initial capacity per view; scenes were seen to need 3 to 6
 MAX_INITIAL_PAIRS = 1 << 24  # 256 MiB of sort buffers, until more are needed
 MAX_PAIRS = 1 << 28  # 4 GiB of sort buffers
+NO_CAMERA = [0] * 8  # words in place of a camera that has not changed
 
 
 @ti.data_oriented
 class Rasterizer:
-    """Draws Gaussians of `splats` from `views` cameras of equal size into a sink (see `Blend.draw`).
+    """Draws Gaussians of `splats` from one or two cameras, `views`, of equal size into a sink (see `Blend.draw`).
 
     A frame is three kernels: `_order` (project, sort by depth, count pairs), `TilePass._bin` (emit pairs, sort them by
     tile, find each tile's range) and the blending of all tiles. Only the last two depend on the capacity for pairs of
@@ -62,7 +63,8 @@ class Rasterizer:
         self._with_color, self._with_depth = color, depth
         self._segments = segments
         self._buffer_size = buffer_size if sort == "pixel" else None
-        self._cameras: list[list[float]] = []  # on the device
+        self._cameras: list[list[int]] = []  # words of each, on the device or to be sent with the next draw
+        self._unsent = False
         self.tile_pass = self._tile_pass(min(PAIRS_PER_GAUSSIAN * views * splats.capacity, MAX_INITIAL_PAIRS))
 
     def draw(self, out, begin: int = 0, end: int | None = None, *, wait: bool = True) -> None:
@@ -71,14 +73,27 @@ class Rasterizer:
         Without `wait` the result is final only after `finish`.
         """
         end = self.splats.count if end is None else end
-        self._order(begin, end, self._kept, self._last != (begin, end, id(out)))
+        cameras = self._cameras if self._unsent else []
+        words = [*cameras, NO_CAMERA, NO_CAMERA][:2]
+        self._order(begin, end, self._kept, self._last != (begin, end, id(out)), len(cameras), *words[0], *words[1])
+        self._unsent = False
         self._kept, self._last = self.projection.still, (begin, end, id(out))
         self.tile_pass.draw(out)
         if wait:
             self.finish(out)
 
     @ti.kernel
-    def _order(self, begin: ti.i32, end: ti.i32, kept: ti.i32, whole: ti.i32):
+    def _order(
+        self, begin: ti.i32, end: ti.i32, kept: ti.i32, whole: ti.i32, cameras: ti.i32,
+        a0: ti.i64, a1: ti.i64, a2: ti.i64, a3: ti.i64, a4: ti.i64, a5: ti.i64, a6: ti.i64, a7: ti.i64,
+        b0: ti.i64, b1: ti.i64, b2: ti.i64, b3: ti.i64, b4: ti.i64, b5: ti.i64, b6: ti.i64, b7: ti.i64,
+    ):  # fmt: skip
+        """The first `cameras` of two are new: as scalars, which need no copy to wait for nor a launch of their own. A
+        matrix takes four times as long to pass."""
+        if cameras > 0:
+            self.projection.set_camera(0, [a0, a1, a2, a3, a4, a5, a6, a7])
+        if cameras > 1:
+            self.projection.set_camera(1, [b0, b1, b2, b3, b4, b5, b6, b7])
         self.projection.project(begin, end, kept, whole, self.order.sorter)
         if ti.static(self.projection.compares):
             self.projection.drop_unchanged(self.order.sorter)
@@ -132,14 +147,13 @@ class Rasterizer:
 
     def forget(self) -> None:
         """Draw all anew: what was said to stand still has moved."""
-        self._kept, self._last = 0, None
+        self._cameras, self._kept, self._last = [], 0, None
 
     def set_cameras(self, cameras: list[Camera]) -> None:
         """Set the cameras of all views; their size must be the rasterizer's."""
-        values = [camera_values(camera) for camera in cameras]
-        if self._cameras != values:
-            self.projection.set_cameras(values)
-            self._cameras, self._kept, self._last = values, 0, None
+        words = [camera_words(camera) for camera in cameras]
+        if self._cameras != words:
+            self._cameras, self._unsent, self._kept, self._last = words, True, 0, None
 
     def destroy(self) -> None:
         """Free the device memory."""

@@ -13,7 +13,7 @@ from core.fields import FieldGroup
 from core.lanes import dealt, lane_count, max_lanes
 from core.vocabulary import Light
 from render.footprint import clamp
-from render.projection import NEAR_PLANE, camera_values, vec3, vec4
+from render.projection import NEAR_PLANE, vec3, vec4
 from render.rasterizer import Rasterizer
 from render.splats import Splats
 
@@ -179,19 +179,20 @@ class ShadowMap:
         focal = half / min(self._radius / distance, MAX_TANGENT)
         view = look_at(self._eye, self.light.target)
         camera = Camera(self.resolution, self.resolution, focal, focal, half, half, view)
-        self.rasterizer.projection.set_cameras([camera_values(camera)])
-        self._aim_static(distance - CASTING_FRACTION * min(distance, self._radius))
+        self.rasterizer.forget()  # dynamic layers move its camera
+        self.rasterizer.set_cameras([camera])
+        self.rasterizer.projection.near[0] = distance - CASTING_FRACTION * min(distance, self._radius)
         self.rasterizer.draw(STATIC, 0, self.begin)
+        self._keep_static_camera()
         self.map.join(STATIC)
         self._expose(self.light.softness)
         self._static_is_drawn = True
 
     @ti.kernel
-    def _aim_static(self, near: ti.f32):
-        """Keep the rasterizer's camera as that of the static layer, which draws from `near` [m] on."""
+    def _keep_static_camera(self):
+        """Keep the rasterizer's camera as that of the static layer."""
         for k in ti.static(range(4)):
             self.camera[STATIC, k] = self.rasterizer.projection.camera[0, k]
-        self.rasterizer.projection.near[0] = near
 
     @ti.kernel
     def _aim_dynamic(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import stat
 import sys
@@ -109,6 +110,14 @@ def open3d(user: str):
     except (ImportError, OSError) as e:  # OSError: it loads system libraries, such as libusb
         raise BadInput(f"{user} needs the package open3d, which does not load ({e})") from e
     return open3d
+
+
+def use_one_blas_thread() -> None:
+    """Let the OpenBLAS of NumPy's and SciPy's wheels use one thread: beside those of a play, several wait for one
+    another (eigenvectors of 267 rows took 50 to 1500 ms by two, 4 by one)."""
+    for package, ending in (("numpy", "64_"), ("scipy", "")):
+        for path in (Path(find_spec(package).origin).parents[1] / f"{package}.libs").glob("*openblas*"):
+            getattr(ctypes.CDLL(str(path)), f"scipy_openblas_set_num_threads{ending}", int)(1)
 
 
 Item, Result = TypeVar("Item"), TypeVar("Result")

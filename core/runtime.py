@@ -75,11 +75,8 @@ class StandIn:
 
 
 def forget_kernels(runtime) -> None:
-    """Let all kernels be compiled anew, as Taichi does where fields are freed.
-
-    quadrants 1.3.3 and 1.4.0 keep what was compiled, which writes into the memory that was freed, and launches that
-    they know by the addresses of objects that are gone.
-    """
+    """Let all kernels be compiled anew where fields are freed, as in Taichi: quadrants 1.3.3 and 1.4.0 keep what was
+    compiled, which writes into freed memory, and launches by the addresses of objects that are gone."""
     for kernel in runtime.kernels:
         kernel.reset()
         kernel.launch_context_buffer_cache = type(kernel.launch_context_buffer_cache)()

@@ -15,6 +15,7 @@ from assets.library import with_sources
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.material import Material
+from core.program import use_one_blas_thread
 from core.vocabulary import BodyState, Hand, Light
 from display import user_commands as cmd
 from display.clock import SimulationCost, frame_steps
@@ -67,6 +68,7 @@ class World(WorldView):
     editable = True
 
     def __init__(self, scene: Scene, *, width: int, height: int, reserve: Sequence[str] = (), **options):
+        use_one_blas_thread()
         self.scene, self.reserve = scene, tuple(reserve)
         self.timings = Timings()
         self.device = DeviceScene(scene, (width, height), reserve=reserve, **options)

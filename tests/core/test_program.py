@@ -121,6 +121,28 @@ def test_without_openusd_its_installation_is_told_in_a_line(tmp_path, monkeypatc
     assert said.endswith("needs the package usd-core: pip install -r requirements-usd.txt\n") and said.count("\n") == 1
 
 
+def test_small_problems_are_solved_by_one_thread():
+    """Asked of the libraries themselves."""
+    code = """if True:
+        import ctypes, numpy, scipy.linalg
+        from pathlib import Path
+        from core.program import use_one_blas_thread
+        site, asked = Path(numpy.__file__).parents[1], []
+        for of, ending in (("numpy", "64_"), ("scipy", "")):
+            for path in site.glob(f"{of}.libs/*openblas*"):
+                asked.append(getattr(ctypes.CDLL(str(path)), f"scipy_openblas_get_num_threads{ending}"))
+        before = [ask() for ask in asked]
+        use_one_blas_thread()
+        print(*before, *(ask() for ask in asked))
+    """
+    env = os.environ | {"OPENBLAS_NUM_THREADS": "2"}
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True, text=True, check=True)
+    threads = run.stdout.split()
+    if "2" not in threads:
+        pytest.skip("NumPy and SciPy have other libraries, or there is one core")
+    assert threads == ["2", "2", "1", "1"]
+
+
 def test_a_play_that_is_interrupted_still_writes_its_results(monkeypatch, capsys):
     """In a headset, Ctrl-C is the only way to end."""
     done = []

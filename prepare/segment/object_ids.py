@@ -90,7 +90,7 @@ def learned_objects(
     """Learn the objects in the photographs' masks by a short further training with L_seg: returns the Gaussians with
     ids and names. Their number stays; those at the borders of objects adapt. Taichi must be running."""
     trained = {"degree": g.sh_degree, "sort": g.sort or "radial", "antialias": g.antialias}
-    options = TrainOptions(steps=LEARNING_STEPS, cap=len(g), free_space=False, resets=False, **trained)
+    options = TrainOptions(steps=LEARNING_STEPS, cap=len(g), free_space=False, **trained)
     trainer = Trainer(photographs, g, capture.extent, options, names)
     trainer.rates = replace(trainer.rates, mean=trainer.rates.mean_end)  # as at the end of the first training
     while trainer.done < options.steps:

@@ -12,15 +12,13 @@ from core.camera import Camera
 from prepare.train.population import Population
 
 START, STOP, EVERY = 500, 15_000, 100  # steps of training
-RESET_EVERY = 3000  # steps between two resets of the opacities
 GRADIENT_MIN = 2e-4  # [1/half picture] mean positional gradient above which detail is missing
 FAR = 0.37  # of the extent: depth from which on a positional gradient counts in full (Pixel-GS)
-SMALL = 0.01  # of the extent: smaller ones are cloned, larger ones split
-SPLIT_SHRINK = 1.6
-OPACITY_MIN, OPACITY_RESET = 0.005, 0.01
+FADING = 5e-4  # by which the logit of an opacity falls in each step while Gaussians are added
+OPACITY_MIN = 0.005
 
 MCMC_GROWTH = 1.05  # growth factor each time until the budget is used
-MCMC_STOP = 25_000
+MCMC_STOP, MCMC_LOGIT_RATE = 25_000, 5e-2
 NOISE = 5e5  # times the learning rate of the means
 OPACITY_COST = SCALE_COST = 0.01  # of the mean opacity and the mean scale
 COPIES_MAX = 51  # of a Gaussian for which opacities and scales are computed
@@ -36,49 +34,42 @@ def logit(p: float) -> float:
 
 @dataclass
 class AdaptiveDensity:
-    """Kerbl 2023, Sec. 5: clone and split where positional gradients are large, prune what is faint, reset opacities.
+    """Kerbl 2023, Sec. 5: split where positional gradients are large, prune what is faint.
 
-    Unlike there, large Gaussians are not pruned: what lies far behind the objects is meant to be large.
+    Unlike there, all are split along their longest axis instead of cloned or scattered (Improved-GS, Deng et al. 2025),
+    opacities fall steadily instead of being reset, and large Gaussians are not pruned: what lies far behind the objects
+    is meant to be large.
 
-    cap      upper limit of Gaussians, frozen ones included; those with the largest gradients are divided first
-    resets   opacities are lowered each RESET_EVERY steps
+    cap      upper limit of Gaussians, frozen ones included; those with the largest gradients are split first
+    stop     step after which none are added or removed
     """
 
     population: Population
-    extent: float
     cap: int
-    rng: np.random.Generator
     opacity_cost: float = 0.0
     scale_cost: float = 0.0
-    resets: bool = True
+    fading: float = FADING
+    stop: int = STOP
 
-    def after(self, step: int, steps: int, mean_rate: float) -> None:
-        """Act after a step, counted from 1, of `steps`."""
-        if step >= min(STOP, steps // 2):
-            return
-        if step > START and step % EVERY == 0:
+    def after(self, step: int, mean_rate: float) -> None:
+        """Act after a step, counted from 1."""
+        if START < step < self.stop and step % EVERY == 0:
             self.refine()
-        if self.resets and step % RESET_EVERY == 0:
-            self.population.limit_logits(self.population.frozen, self.population.count, logit(OPACITY_RESET))
-            self.population.activate()
 
     def refine(self) -> None:
-        """Clone, split and prune once, up to `cap` Gaussians."""
+        """Split and prune once, up to `cap` Gaussians."""
         p = self.population
         n = p.count
         gradient = p.gradient_sum.to_numpy()[:n] / np.maximum(p.gradient_count.to_numpy()[:n], 1.0)
         gradient[: p.frozen] = 0.0
-        scale = np.exp(p.parameters.log_scale.to_numpy()[:n].max(axis=1))
         divided = np.flatnonzero(gradient > GRADIENT_MIN)
         room = max(0, min(self.cap, p.capacity) - n)
         if len(divided) > room:
             divided = np.sort(divided[np.argsort(-gradient[divided], kind="stable")[:room]])
-        added = np.arange(n, n + len(divided))
-        p.copy(divided, added, moments=False)
+        p.copy(divided, np.arange(n, n + len(divided)), moments=False)
         p.splats.count = n + len(divided)
-        split = scale[divided] > SMALL * self.extent
-        both = np.concatenate([divided[split], added[split]])
-        p.scatter(both, self.rng.standard_normal((len(both), 3)), SPLIT_SHRINK)
+        if len(divided):
+            p.split(divided.astype(np.int32), n)
         p.remove(p.parameters.logit.to_numpy()[: p.count] < logit(OPACITY_MIN))
         p.clear_statistics()
 
@@ -92,11 +83,13 @@ class MonteCarlo:
     rng: np.random.Generator
     opacity_cost: float = OPACITY_COST
     scale_cost: float = SCALE_COST
+    fading: float = 0.0
+    stop: int = MCMC_STOP
 
-    def after(self, step: int, steps: int, mean_rate: float) -> None:
-        """Act after a step, counted from 1, of `steps`."""
+    def after(self, step: int, mean_rate: float) -> None:
+        """Act after a step, counted from 1."""
         p = self.population
-        if START < step < min(MCMC_STOP, steps) and step % EVERY == 0:
+        if START < step < self.stop and step % EVERY == 0:
             self.relocate()
             self.grow()
             p.activate()

@@ -11,6 +11,7 @@ from prepare.train.train_options import BETA1, BETA2, EPSILON
 from render.splats import Splats
 
 vec3, vec4 = ti.math.vec3, ti.math.vec4
+SPLIT = 0.5, 0.85, 0.6  # factors on the longest axis of a Gaussian that is split, on the others, and on its opacity
 GEOMETRY = 11  # learned numbers of a Gaussian without its harmonics: mean 3, quat 4, log_scale 3, logit 1
 geometry = ti.types.vector(GEOMETRY, ti.f32)
 
@@ -98,6 +99,7 @@ class AdamStep:
     half_width, half_height  of the picture [px]
     far                      depth from which on a positional gradient counts in full
     opacity_cost, scale_cost derivatives of the loss by each opacity and scale, over the number of Gaussians
+    fading                   by which the logits of opacities in the picture fall, past Adam
     sparse                   1: Gaussians outside the picture are not updated, nor their moments
     """
 
@@ -115,6 +117,7 @@ class AdamStep:
     far: ti.f32
     opacity_cost: ti.f32
     scale_cost: ti.f32
+    fading: ti.f32
     sparse: ti.i32
 
 
@@ -238,7 +241,7 @@ class Population:
                     self.parameters.log_scale[g][k] -= step.log_scale * move[7 + k]
                 for k in ti.static(range(4)):
                     self.parameters.quat[g][k] -= step.quat * move[3 + k]
-                self.parameters.logit[g] -= step.logit * move[10]
+                self.parameters.logit[g] -= step.logit * move[10] + ti.select(seen, step.fading, 0.0)
         for g, k in ti.ndrange((begin, end), step.active):
             seen = gradients.seen(g)
             if seen or step.sparse == 0:
@@ -288,33 +291,30 @@ class Population:
         self.splats.count = alive
         self.activate()
 
-    def scatter(self, rows, normals: np.ndarray, shrink: float) -> None:
-        """Move each of `rows` to a sample of its own Gaussian, and divide its scales by `shrink`.
-
-        normals: standard normal numbers (len(rows), 3).
-        """
-        if len(rows):
-            self._scatter(np.asarray(rows, np.int32), np.ascontiguousarray(normals, np.float32), shrink)
-
     @ti.kernel
-    def _scatter(self, rows: ti.types.ndarray(ti.i32, 1), normals: ti.types.ndarray(ti.f32, 2), shrink: ti.f32):
+    def split(self, rows: ti.types.ndarray(ti.i32, 1), copies: ti.i32):
+        """Make `rows` and their copies, the rows from `copies` on, halves along the longest axes; variances stay."""
+        length, width, share = ti.static(SPLIT)
         for i in range(rows.shape[0]):
-            g = rows[i]
-            self.splats.mean[g] += self.parameters.axes(g) @ vec3(normals[i, 0], normals[i, 1], normals[i, 2])
-            self.parameters.log_scale[g] -= ti.log(shrink)
-            self._set_moments(g, g, 0.0)
+            a, b = rows[i], copies + i
+            axes, logs = self.parameters.axes(a), self.parameters.log_scale[a]
+            longest = 0
+            for k in ti.static(range(1, 3)):
+                if logs[k] > logs[longest]:
+                    longest = k
+            way = ti.sqrt(1.0 - length * length) * vec3(axes[0, longest], axes[1, longest], axes[2, longest])
+            opacity = share / (1.0 + ti.exp(-self.parameters.logit[a]))
+            for g, sign in ti.static(((a, 1.0), (b, -1.0))):
+                self.splats.mean[g] += sign * way
+                for k in ti.static(range(3)):
+                    self.parameters.log_scale[g][k] = logs[k] + ti.log(ti.select(k == longest, length, width))
+                self.parameters.logit[g] = ti.log(opacity / (1.0 - opacity))
+                self._set_moments(g, g, 0.0)
 
     def clear_statistics(self) -> None:
         """Forget the sums and counts of the gradients."""
         self.gradient_sum.fill(0.0)
         self.gradient_count.fill(0.0)
-
-    @ti.kernel
-    def limit_logits(self, begin: ti.i32, end: ti.i32, limit: ti.f32):
-        """Lower logits of opacities of Gaussians [begin, end) to `limit`, and forget their moments."""
-        for g in range(begin, end):
-            self.parameters.logit[g] = ti.min(self.parameters.logit[g], limit)
-            self.first[g][10], self.second[g][10] = 0.0, 0.0
 
     @ti.kernel
     def set_opacity_and_scale(

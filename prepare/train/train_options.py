@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 CAPS = {"cuda": 2_000_000, "cpu": 100_000}  # most Gaussians, by device
 STEPS = {"cuda": 30_000, "cpu": 3_000}
 FAST_STEPS = {"cuda": 10_000, "cpu": 1_000}
-FAST = {"coarse": 0.3, "sparse": True, "harmonics_every": 2, "degree_interval": 400, "resets": False}
+FAST = {"coarse": 0.3, "sparse": True, "harmonics_every": 2, "degree_interval": 400}
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 
 
@@ -28,7 +28,6 @@ class TrainOptions:
     sparse           Adam skips Gaussians outside the picture
     harmonics_every  harmonics above degree 0 are updated only every so many steps
     degree_interval  steps after which one more degree of the harmonics is learned
-    resets           opacities are lowered periodically; Gaussians whose opacity does not recover are pruned
     """
 
     steps: int = 30_000
@@ -46,7 +45,6 @@ class TrainOptions:
     sparse: bool = False
     harmonics_every: int = 1
     degree_interval: int = 1000
-    resets: bool = True
 
 
 def fast(options: TrainOptions) -> TrainOptions:
@@ -56,15 +54,17 @@ def fast(options: TrainOptions) -> TrainOptions:
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Learning rates of Adam (Kerbl 2023): that of the means is in units of the capture's extent and decays."""
+    """Learning rates of Adam (Kerbl 2023; half of that for opacities): that of the means is in units of the capture's
+    extent and decays; once no Gaussians are added any more, the others halve each `halving` steps."""
 
     mean: float = 1.6e-4
     mean_end: float = 1.6e-6
     quat: float = 1e-3
     log_scale: float = 5e-3
-    logit: float = 5e-2
+    logit: float = 2.5e-2
     color: float = 2.5e-3
     harmonics: float = 2.5e-3 / 20
+    halving: float = 3500.0
 
     def of_mean(self, step: int, steps: int, extent: float) -> float:
         """Rate of the means [capture's units] at a step of all."""

@@ -13,7 +13,7 @@ from assets.file_access import atomic_write
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.hdf5 import new_hdf5, open_hdf5, write_text
 from core.camera import Camera
-from prepare.train.densification import FAR, AdaptiveDensity, MonteCarlo, free_radii, in_free_space, near_depth
+from prepare.train import densification as density
 from prepare.train.gradient_step import GradientStep
 from prepare.train.image_loss import packed
 from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label, packed_labels
@@ -112,9 +112,11 @@ class Trainer:
         capacity = max(options.cap, len(start))
         self.population = Population(start, capacity, options.frozen, labelled=bool(self.objects))
         if options.strategy == "mcmc":
-            self.strategy = MonteCarlo(self.population, options.cap, self.rng)
+            stop, self.rates = min(density.MCMC_STOP, options.steps), LearningRates(logit=density.MCMC_LOGIT_RATE)
+            self.strategy = density.MonteCarlo(self.population, options.cap, self.rng, stop=stop)
         else:
-            self.strategy = AdaptiveDensity(self.population, extent, options.cap, self.rng, resets=options.resets)
+            stop, self.rates = min(density.STOP, options.steps // 2), LearningRates()
+            self.strategy = density.AdaptiveDensity(self.population, options.cap, stop=stop)
         self.views = TrainingViews(photographs, options.coarse, len(self.objects))
         cameras = self.views.cameras
         size = max(c.height for c in cameras), max(c.width for c in cameras)
@@ -129,7 +131,6 @@ class Trainer:
         )
         self.exposures = Exposures(len(cameras)) if options.exposure else None
         self.poses = Poses([c.world_to_camera for c in cameras], extent, options.steps) if options.poses else None
-        self.rates = LearningRates()
         self.done = 0  # steps
         self._queue: list[int] = []  # views that follow, in a random order without repetition
 
@@ -164,7 +165,7 @@ class Trainer:
             self.gradients.update_labels(self.done)
         step = self.adam_step(target.camera, SH_COUNTS[degree] if self.done % o.harmonics_every == 0 else 1)
         self.gradients.update(step)
-        self.strategy.after(self.done, o.steps, step.mean)
+        self.strategy.after(self.done, step.mean)
         if o.free_space and self.done in {round(part * o.steps) for part in CLEARED}:
             self.clear_free_space()
 
@@ -172,29 +173,32 @@ class Trainer:
         """Numbers of step `done` of Adam, counted from 1; `active` coefficients of the harmonics are learned."""
         o, r = self.options, self.rates
         learning = max(1, self.population.count - self.population.frozen)
+        late = 0.5 ** (max(0, self.done - self.strategy.stop) / r.halving)
         return AdamStep(
             mean=r.of_mean(self.done - 1, o.steps, self.extent),
-            quat=r.quat,
-            log_scale=r.log_scale,
-            logit=r.logit,
-            color=r.color,
-            harmonics=r.harmonics,
+            quat=late * r.quat,
+            log_scale=late * r.log_scale,
+            logit=late * r.logit,
+            color=late * r.color,
+            harmonics=late * r.harmonics,
             bias1=1.0 - BETA1**self.done,
             bias2=1.0 - BETA2**self.done,
             active=active,
             half_width=0.5 * camera.width,
             half_height=0.5 * camera.height,
-            far=FAR * self.extent,
+            far=density.FAR * self.extent,
             opacity_cost=self.strategy.opacity_cost / learning,
             scale_cost=self.strategy.scale_cost / (3 * learning),
+            fading=self.strategy.fading if self.done < self.strategy.stop else 0.0,
             sparse=int(o.sparse),
         )
 
     def clear_free_space(self) -> None:
         """Remove the Gaussians in the free space around the cameras."""
         p, cameras = self.population, self.views.cameras
-        radii = free_radii(cameras, np.array([near_depth(*self.gradients.depths(c)) for c in cameras]))
-        p.remove(in_free_space(p.splats.mean.to_numpy()[: p.count], cameras, radii))
+        depths = np.array([density.near_depth(*self.gradients.depths(c)) for c in cameras])
+        means, radii = p.splats.mean.to_numpy()[: p.count], density.free_radii(cameras, depths)
+        p.remove(density.in_free_space(means, cameras, radii))
 
     def quality(self, photograph: Photograph) -> Quality:
         """Quality of the current rendering of a photograph, over white where that is cut out."""

@@ -17,7 +17,6 @@ from core.errors import BadInput
 from core.report import Section, Table
 from prepare.inpaint import inpaint_pipeline as pipeline
 from prepare.inpaint.hole_patch import compare, cut_out, uncovered_psnr
-from prepare.inpaint.picture_inpainting import paint_from_patches
 from prepare.segment.object_ids import identified, masks_of
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import load_photograph, load_photographs
@@ -71,21 +70,20 @@ def _measured(folder: Path, steps: int, report: Callable[[str], None], objects: 
         report(f"without the {name}")
         own = gaussians.object_id == number
         cameras = [p.camera for p in photographs]
-        before, removed = pipeline.without_support(gaussians.select(~own), gaussians.select(own), cameras)
+        parts = gaussians.select(~own), {name: gaussians.select(own)}
         try:
-            hole = pipeline.take_shadow(pipeline.find_hole(before, removed, cameras, name=name))
+            before, objects = pipeline.without_supports(*parts, cameras)
+            after, (hole,) = pipeline.inpaint(before, objects, cameras)
         except BadInput as e:  # a small capture's splat is rough
             report(str(e))
             found[name] = {"refused": str(e)}
             continue
-        textures = pipeline.paint_hole(hole, paint_from_patches)
-        after = pipeline.close_hole(hole, textures)
         behind = [replace(v, image=folder / "behind" / name / v.image.name, mask=None) for v in capture.views]
         truths = [load_photograph(v) for v in behind]
-        views = [v for v in compare(hole.views, textures, before, after, truths) if v.covered.any()]
+        views = [v for v in compare(hole.views, hole.textures, before, after, truths) if v.covered.any()]
         found[name] = {
             "gaussians": int(own.sum()),
-            "new": len(after) - len(hole.background),
+            "new": len(hole.patch),
             "area": hole.area,
             "psnr": uncovered_psnr(views)["object"],
             "picture": _strip(max(views, key=lambda v: int(v.hole.sum() or v.covered.sum())), photographs),

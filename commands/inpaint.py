@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write, check_writable, write_json
-from assets.gaussians import Gaussians, concatenate
+from assets.gaussians import Gaussians
 from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
 from commands import options as cli
 from core.errors import BadInput
@@ -59,52 +59,40 @@ class InpaintOptions(cli.Options):
 
 def inpaint(options: InpaintOptions) -> None:
     """Remove, inpaint and write. Raises BadInput."""
-    from prepare.inpaint.inpaint_pipeline import (
-        STAGES,
-        STEPS,
-        close_hole,
-        find_hole,
-        paint_hole,
-        take_shadow,
-        without_support,
-    )
-    from prepare.inpaint.picture_inpainting import paint_from_patches
+    from prepare.inpaint import inpaint_pipeline as pipeline
     from prepare.onnx_network import LamaNetwork
 
     kind_to_write(options.out)
     for file in filter(None, (options.out, options.report)):
         check_writable(file)
-    painter = LamaNetwork(options.lama) if options.lama else paint_from_patches
+    painter = LamaNetwork(options.lama) if options.lama else None
     cameras, truths = _cameras(options)
     background, objects = _parts(options)
     start_taichi(options.arch)
-    begin, reports = time.perf_counter(), []
-    for k, (name, removed) in enumerate(objects.items()):
-        others = [g for other, g in objects.items() if other != name]
-        standing = list(objects.values())[k + 1 :]  # the shadows of those before went with them
-        progress = StepProgress(STAGES)
-        try:
-            more = concatenate(others) if others else None
-            background, removed = without_support(background, removed, cameras, others=more, progress=progress)
-            hole = find_hole(background, removed, cameras, name=name, others=more, progress=progress)
-            if not options.keep_shadow:
-                hole = take_shadow(hole, concatenate(standing) if standing else None, progress)
-            textures = paint_hole(hole, painter, progress)
-            after = close_hole(hole, textures, options.steps or STEPS, progress)
-        finally:
-            progress.close()
-        patch = len(after) - len(hole.background)
-        line = f"{name}: {len(removed)} Gaussians removed"
+    begin, progress = time.perf_counter(), StepProgress(pipeline.STAGES)
+    try:
+        background, objects = pipeline.without_supports(background, objects, cameras, lambda *_: progress)
+        after, holes = pipeline.inpaint(
+            background,
+            objects,
+            cameras,
+            shadows=not options.keep_shadow,
+            painter=painter,
+            steps=options.steps or pipeline.STEPS,
+            progress=lambda *_: progress,
+        )
+    finally:
+        progress.close()
+    for hole in holes:
+        line, patch = f"{hole.name}: {len(hole.removed)} Gaussians removed", len(hole.patch)
         line += f", {patch} added over {hole.area:.3g} m^2 that no camera saw" if patch else "; no hole was left"
         print(line)
-        if options.report:
-            reports.append(_measured(name, removed, hole, textures, background, after, truths))
-        background = after
-    write_gaussians(options.out, background)
+    reports = [_measured(hole, background, after, truths) for hole in holes if options.report]
+    write_gaussians(options.out, after)
     seconds = time.perf_counter() - begin
-    print(f"{options.out}: {len(background)} Gaussians, {seconds:.0f} s")
+    print(f"{options.out}: {len(after)} Gaussians, {seconds:.0f} s")
     if options.report:
-        whole = {"gaussians": len(background), "seconds": seconds, "scene": str(options.scene)}
+        whole = {"gaussians": len(after), "seconds": seconds, "scene": str(options.scene)}
         _report(options.report, reports, whole)
 
 
@@ -145,15 +133,15 @@ def _parts(options: InpaintOptions) -> tuple[Gaussians, dict[str, Gaussians]]:
     return rest, {name: scene.select(scene.object_id == number) for name, number in ids.items()}
 
 
-def _measured(name, removed, hole, textures, before, after, truths) -> dict:
+def _measured(hole, before, after, truths) -> dict:
     """Numbers of an object's hole, and under "pictures" a picture for the report."""
     from prepare.inpaint.hole_patch import compare, uncovered_psnr
 
-    views = compare(hole.views, textures, before, after, truths)
+    views = compare(hole.views, hole.textures, before, after, truths)
     views = [v for v in views if v.covered.any()]
-    numbers = {"object": name, "removed": len(removed), "new": len(after) - len(hole.background)}
+    numbers = {"object": hole.name, "removed": len(hole.removed), "new": len(hole.patch)}
     numbers |= {"unseen": hole.dropped, "area": hole.area, "views": len(views)}
-    numbers["surfaces"] = [{"normal": t.surface.axes[2].tolist(), "area": t.area} for t in textures]
+    numbers["surfaces"] = [{"normal": t.surface.axes[2].tolist(), "area": t.area} for t in hole.textures]
     if truths:
         numbers["psnr"] = uncovered_psnr(views)
     best = sorted(views, key=lambda v: -int(v.hole.sum() or v.covered.sum()))

@@ -29,16 +29,27 @@ class BlendingWeights:
         sort      order of blending; by default that which the Gaussians were trained for, "radial" if not known
         capacity  for at least so many Gaussians
         """
-        self._splats, self._sort = Splats(gaussians, capacity=capacity), sort or gaussians.sort or "radial"
-        self._antialias = gaussians.antialias
+        self._sort, self._antialias = sort or gaussians.sort or "radial", gaussians.antialias
+        self._degree = gaussians.sh_degree
         self._size = (0, 0)  # of the largest picture until now, for which there is room
         self._first = max((c.width for c in cameras), default=1), max((c.height for c in cameras), default=1)
         self._renderer: Renderer | None = None
         self._backward: _BackwardPass | None = None
         self._camera: tuple | None = None  # of the last picture, if it shows the Gaussians where they are
+        self._hold(gaussians, capacity)
+
+    def _hold(self, gaussians: Gaussians, capacity: int) -> None:
+        self._splats = Splats(gaussians, capacity=capacity)
+        if capacity:
+            self._splats.sh_range = (0, self._splats.capacity)  # of those that follow, any may depend on the view
 
     def replace(self, gaussians: Gaussians) -> None:
-        """Draw other Gaussians from now on, of the same SH degree, and no more than there is room for."""
+        """Draw other Gaussians from now on, in the same order; nothing is compiled anew as long as there is room."""
+        gaussians = gaussians.with_sh_degree(self._degree)
+        if len(gaussians) > self._splats.capacity:
+            self.destroy()
+            self._first, self._size = tuple(map(max, self._first, self._size)), (0, 0)
+            self._hold(gaussians, 2 * len(gaussians))
         self._splats.replace(gaussians)
         self._camera = None
 

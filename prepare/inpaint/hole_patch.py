@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation
 
 from assets.gaussians import SH_COUNTS, Gaussians, concatenate
+from core.program import in_threads
 from core.rotation import quaternions_from_matrices
 from core.spherical_harmonics import C0
 from prepare.blending_weights import BlendingWeights
-from prepare.inpaint.hole_views import SOLID, HoleView
+from prepare.inpaint.hole_views import SOLID, HoleView, spread_indices
 from prepare.inpaint.support_surface import SurfaceTexture
 from prepare.progress import Progress
 from prepare.train.densification import logit
@@ -77,6 +78,17 @@ def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, 
     return color, hole, binary_dilation(hole, iterations=RIM)
 
 
+def targets_of(drawing: BlendingWeights, views: list[HoleView], textures: list[SurfaceTexture]) -> list[Photograph]:
+    """Pictures to train patches on: the background as it is drawn now, and painted textures, from views of a hole."""
+    views = [replace(v, color=drawing.picture(v.camera)[0]) for v in views]
+    found = []
+    for view, (color, pixels, counts) in zip(views, in_threads(lambda v: target(v, textures), views), strict=True):
+        if pixels.sum() >= HOLE_PIXELS:
+            picture = (color.clip(0.0, 1.0) * 255).round().astype(np.uint8)
+            found.append(Photograph(picture, counts, view.camera))
+    return [found[i] for i in spread_indices(len(found), VIEWS_MAX)]
+
+
 def train_patch(
     background: Gaussians, patch: Gaussians, targets: list[Photograph], extent: float, progress: Progress, steps: int
 ) -> Gaussians:
@@ -91,6 +103,7 @@ def train_patch(
         sort=start.sort or "radial",
         antialias=start.antialias,
         frozen=len(background),
+        sparse=True,  # a view shows one of the holes
         free_space=False,  # nobody stood where its views are drawn from
     )
     trainer = Trainer(targets, start, extent, options)

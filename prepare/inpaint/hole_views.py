@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from assets.gaussians import Gaussians
+from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera, directions_around, look_at, perspective
 from prepare.blending_weights import BlendingWeights
 from prepare.progress import Progress
@@ -70,8 +72,20 @@ class HoleView:
         return (self.object_alpha > SOLID) & ((self.alpha < SOLID) | (self.object_depth < self.depth))
 
 
+@contextmanager
+def drawing_of(*parts: Gaussians) -> Iterator[BlendingWeights]:
+    """A drawing for one part of a splat after the other (`replace`), with room for all of them in pictures of SIDE: it
+    is compiled once, which takes longer than all pictures."""
+    whole = concatenate(parts)
+    drawing = BlendingWeights(whole, [perspective(SIDE, SIDE, 1.0, np.eye(4))], capacity=len(whole))
+    try:
+        yield drawing
+    finally:
+        drawing.destroy()
+
+
 def draw_views(
-    background: Gaussians, removed: Gaussians, cameras: list[Camera], ball: Surroundings, progress: Progress
+    drawing: BlendingWeights, background: Gaussians, removed: Gaussians, cameras: list[Camera], ball: Surroundings
 ) -> list[HoleView]:
     """The views of all cameras that look at the surroundings of the object."""
     cuts = [(k, cut) for k, c in enumerate(cameras) if (cut := cut_out_camera(c, ball)) is not None]
@@ -80,34 +94,34 @@ def draw_views(
     within = 1.2 * REACH * ball.radius  # all that is processed, without its rim
     near = background.select(np.linalg.norm(background.means - ball.centre, axis=1) < within)
     things = [g for g in (background, removed, near) if len(g)]
-    drawings = [BlendingWeights(g, [cut for _, cut in cuts]) for g in things]
+    pictures = []
+    for g in things:
+        drawing.replace(g)
+        pictures.append([drawing.picture(cut) for _, cut in cuts])
     found = []
-    for done, (k, cut) in enumerate(cuts):
-        color, depth, alpha = drawings[0].picture(cut)
-        _, object_depth, object_alpha = drawings[1].picture(cut)
+    for (k, cut), ((color, depth, alpha), *others) in zip(cuts, zip(*pictures, strict=True), strict=True):
+        _, object_depth, object_alpha = others[0]
         if len(near):  # where it is what shows: a few per cent of a far background behind it are metres of depth
-            _, near_depth, near_alpha = drawings[2].picture(cut)
+            _, near_depth, near_alpha = others[1]
             depth = np.where(near_alpha > SOLID, near_depth, depth)
         found.append(HoleView(k, cut, color, alpha, depth, object_alpha, object_depth))
-        progress("views", (done + 1) / len(cuts))
-    for drawing in drawings:
-        drawing.destroy()
     return found
 
 
-def within_object(background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress) -> np.ndarray:
+def within_object(
+    drawing: BlendingWeights, background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress
+) -> np.ndarray:
     """Mask (N,) of Gaussians that appear almost only within an object's silhouettes: they lie inside it, unseen."""
     from prepare.room_capture.contributions import reduced
 
-    sums = BlendingWeights(background)
+    drawing.replace(background)
     weights = np.zeros((len(background), 2))
     for k, view in enumerate(views):
         camera = reduced(view.camera)
         own = binary_dilation(view.object_alpha > SOLID, iterations=SILHOUETTE_MARGIN).astype(np.float32)
         own = cv2.resize(own, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-        weights += sums.sums(camera, [own, 1.0 - own])
+        weights += drawing.sums(camera, [own, 1.0 - own])
         progress("hole", 0.5 * (k + 1) / len(views))
-    sums.destroy()
     near = np.linalg.norm(background.means - ball.centre, axis=1) < INSIDE * ball.radius
     return near & (weights[:, 1] < OUTSIDE_SHARE * weights.sum(axis=1))
 
@@ -165,21 +179,22 @@ def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
     return Camera(*extent, camera.fx, camera.fy, cx, cy, camera.world_to_camera).resized(width, height)
 
 
-def cameras_around(background: Gaussians, removed: Gaussians, ball: Surroundings) -> list[Camera]:
+def cameras_around(
+    drawing: BlendingWeights, background: Gaussians, removed: Gaussians, ball: Surroundings
+) -> list[Camera]:
     """Cameras on all sides with a free view of an object, for a splat without photographs."""
     eyes = ball.centre + AROUND_DISTANCE * ball.radius * directions_around(AROUND)
     fov = 2 * np.arcsin(min(0.9, REACH / AROUND_DISTANCE))
     poses = [look_at(eye, ball.centre) for eye in eyes]
     trials = [perspective(AROUND_SIDE, AROUND_SIDE, fov, pose) for pose in poses]
-    drawings = [BlendingWeights(g, trials) for g in (background, removed)]
-    free = []
-    for trial in trials:
-        (_, depth, alpha), (_, object_depth, object_alpha) = (drawing.picture(trial) for drawing in drawings)
+    pictures, free = [], []
+    for g in (background, removed):
+        drawing.replace(g)
+        pictures.append([drawing.picture(trial) for trial in trials])
+    for (_, depth, alpha), (_, object_depth, object_alpha) in zip(*pictures, strict=True):
         solid = object_alpha > SOLID
         clear = solid & ((alpha < SOLID) | (object_depth < depth))
         free.append(clear.sum() / max(1, solid.sum()))
-    for drawing in drawings:
-        drawing.destroy()
     chosen = np.flatnonzero(np.array(free) > FREE)
     chosen = chosen[spread_indices(len(chosen), AROUND_MAX)]
     return [perspective(AROUND_SIDE_FULL, AROUND_SIDE_FULL, fov, poses[i]) for i in chosen]

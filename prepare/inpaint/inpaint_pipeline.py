@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,22 +10,22 @@ import numpy as np
 from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.errors import BadInput
-from core.program import in_threads
 from core.spherical_harmonics import C0
-from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, target, train_patch
-from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, spread_indices, within_object
-from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, views_of, without_shadow
+from prepare.blending_weights import BlendingWeights
+from prepare.inpaint.hole_patch import seed_patch, targets_of, train_patch
+from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, drawing_of, within_object
+from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, without_shadow
 from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
 from prepare.inpaint.support_surface import SurfaceTexture, part_of_surface, shows_colors, support_surfaces, texture_of
 from prepare.progress import Progress, no_progress
-from prepare.train.photographs import Photograph
 
 STAGES = ("views", "hole", "shadow", "paint", "patch")
-STEPS = 200  # of training the patch
+STEPS = 200  # of training the patch of a hole
 OBJECT_MIN = 20  # Gaussians of an object
 RIM_KNOWN = 0.6  # known share of the rim of a hole on a further surface; else it is the side of a nearby thing
 CONTEXT = 48  # texels around a hole that the painter sees
 SEEN_MIN = 50  # pixels of the object in all views; with fewer it counts as unseen
+ObjectProgress = Callable[[str, int, int], Progress]
 
 
 class NoSurface(BadInput):
@@ -40,9 +41,11 @@ class Hole:
     removed     Gaussians of the object
     views       of the scene without the object, and of the object alone
     support     texture of the surface that the object stands on
-    textures    of the support surfaces that have a hole, not painted yet; empty if cameras saw everything behind it
+    textures    of the support surfaces that have a hole; empty if cameras saw everything behind it
+    patch       Gaussians over the hole, none until it is painted
     """
 
+    name: str
     background: Gaussians
     dropped: int
     removed: Gaussians
@@ -50,6 +53,7 @@ class Hole:
     views: list[HoleView]
     support: SurfaceTexture
     textures: list[SurfaceTexture]
+    patch: Gaussians
 
     @property
     def area(self) -> float:
@@ -59,101 +63,116 @@ class Hole:
 
 def inpaint(
     background: Gaussians,
-    removed: Gaussians,
+    objects: Mapping[str, Gaussians],
     cameras: list[Camera] | None,
     *,
-    name: str = "the object",
-    others: Gaussians | None = None,
-    standing: Gaussians | None = None,
-    painter: Painter = paint_from_patches,
+    shadows: bool = True,
+    painter: Painter | None = None,
     steps: int = STEPS,
-    progress: Progress = no_progress,
-) -> Gaussians:
-    """Remove an object from a splat: returns the background, followed by a patch where no camera saw behind the object.
+    progress: ObjectProgress = lambda *_: no_progress,
+    say: Callable[[str], None] | None = None,
+) -> tuple[Gaussians, list[Hole]]:
+    """Remove objects, by name, from a splat: returns the background, followed by a patch where no camera saw behind
+    them, and their holes.
 
-    The background's Gaussians stay as they are, bit for bit, but for their colours in the object's shadow; those inside
-    the object, which no camera saw, are dropped.
+    First all shadows go, then the holes are painted, each beside what was painted in those before, and trained
+    together. The background's Gaussians stay as they are, bit for bit, but for their colours in the objects' shadows;
+    those inside an object, which no camera saw, are dropped.
 
-    others    Gaussians of other objects that are removed, too: what they hid was not seen either
-    standing  other objects that cast shadows on the background, besides those with an id in it
-    cameras   of the photographs, in the frame of the Gaussians; without any (None) the hole is what is empty when the
-              object's place is rendered from all sides
-    painter   fills a picture's hole
-    progress  is called with STAGES
+    cameras    of the photographs, in the frame of the Gaussians; without any (None) a hole is what is empty when the
+               object's place is rendered from all sides
+    shadows    are removed with their objects
+    painter    fills a picture's hole, by default from patches
+    steps      of training, a hole
+    progress   of an object, by name, number and number of all, is called with STAGES
+    say        is told of an object without a surface behind it, which else ends all
 
     Taichi must have been started. Raises BadInput, naming the object, if it has no support or is not seen.
     """
-    hole = find_hole(background, removed, cameras, name=name, others=others, progress=progress)
-    hole = take_shadow(hole, standing, progress)
-    return close_hole(hole, paint_hole(hole, painter, progress), steps, progress)
+    holes, tell = [], no_progress
+    with drawing_of(background, *objects.values()) as drawing:
+        for k, (name, removed) in enumerate(objects.items()):
+            tell, others = progress(name, k, len(objects)), [g for other, g in objects.items() if other != name]
+            try:
+                hole = find_hole(drawing, background, removed, cameras, name=name, others=others, progress=tell)
+            except NoSurface as e:
+                if say is None:
+                    raise
+                say(f"what it hid stays open: {e}")
+                continue
+            holes.append(hole)
+            if shadows:  # those before took theirs along
+                holes = take_shadow(drawing, holes, others[k:], tell)
+            background = holes[-1].background
+        for k, hole in enumerate(holes):
+            tell, before = progress(hole.name, k, len(holes)), [t for h in holes[:k] for t in h.textures]
+            holes[k] = paint_hole(hole, before, painter or paint_from_patches, tell)
+        return close_holes(drawing, background, holes, steps, tell), holes
 
 
-def in_support(
+def without_supports(
     background: Gaussians,
-    removed: Gaussians,
+    objects: Mapping[str, Gaussians],
     cameras: list[Camera] | None,
-    *,
-    others: Gaussians | None = None,
-    progress: Progress = no_progress,
-) -> np.ndarray:
-    """Mask (N,) of an object's Gaussians that belong to the surface it stands on: its masks covered them.
-
-    Arguments as of `inpaint`.
-    """
-    textures = []
-    if len(removed) >= OBJECT_MIN and len(background):
-        ball, photographed = Surroundings.of(removed), cameras is not None
-        cameras = cameras if photographed else cameras_around(background, removed, ball)
-        hiding = removed if others is None else concatenate([removed, others])
-        views = draw_views(background, hiding, cameras, ball, progress)
-        textures = textures_around(views, removed, ball, photographed=photographed)
-    if not textures:
-        return np.zeros(len(removed), bool)
-    like = shows_colors(textures[0], removed.sh[:, 0] * C0 + 0.5)
-    return part_of_surface(removed.means, textures[0].surface, ball, like)
-
-
-def without_support(
-    background: Gaussians, removed: Gaussians, cameras: list[Camera] | None, **options
-) -> tuple[Gaussians, Gaussians]:
-    """The background with the Gaussians of `in_support`, and the object without them."""
-    part = in_support(background, removed, cameras, **options)
-    own = removed.select(part)
-    return concatenate([background, replace(own, object_id=np.zeros_like(own.object_id))]), removed.select(~part)
+    progress: ObjectProgress = lambda *_: no_progress,
+) -> tuple[Gaussians, dict[str, Gaussians]]:
+    """The background with those Gaussians of objects that belong to the surface an object stands on, and the objects
+    without them: masks took them along. Arguments as of `inpaint`."""
+    objects = dict(objects)
+    with drawing_of(background, *objects.values()) as drawing:
+        for k, (name, removed) in enumerate(objects.items()):
+            if len(removed) < OBJECT_MIN or not len(background):
+                continue
+            tell, others = progress(name, k, len(objects)), [g for other, g in objects.items() if other != name]
+            ball = Surroundings.of(removed)
+            around = cameras_around(drawing, background, removed, ball) if cameras is None else cameras
+            tell("views", k / len(objects))
+            views = draw_views(drawing, background, concatenate([removed, *others]), around, ball)
+            textures = textures_around(views, removed, ball, photographed=cameras is not None)
+            if textures:
+                like = shows_colors(textures[0], removed.sh[:, 0] * C0 + 0.5)
+                part = part_of_surface(removed.means, textures[0].surface, ball, like)
+                given = removed.select(part)
+                background = concatenate([background, replace(given, object_id=np.zeros_like(given.object_id))])
+                objects[name] = removed.select(~part)
+    return background, objects
 
 
 def find_hole(
+    drawing: BlendingWeights,
     background: Gaussians,
     removed: Gaussians,
     cameras: list[Camera] | None,
     *,
     name: str,
-    others: Gaussians | None = None,
+    others: Sequence[Gaussians] = (),
     progress: Progress = no_progress,
 ) -> Hole:
-    """Find the hole that an object leaves behind. Arguments and errors as of `inpaint`."""
+    """Find the hole that an object leaves behind. Arguments and errors as of `inpaint`; what `others` hide was not seen
+    either."""
     if len(removed) < OBJECT_MIN:
         raise BadInput(f"{name}: only {len(removed)} Gaussians; an object has at least {OBJECT_MIN}")
     if not len(background):
         raise BadInput(f"{name}: nothing is left without it")
     ball, photographed = Surroundings.of(removed), cameras is not None
-    cameras = cameras if photographed else cameras_around(background, removed, ball)
-    hiding = [removed] if others is None else [removed, others]
-    views = draw_views(background, concatenate(hiding), cameras, ball, progress)
+    cameras = cameras if photographed else cameras_around(drawing, background, removed, ball)
+    hiding = [removed, *others]
+    progress("views", 0.0)
+    views = draw_views(drawing, background, concatenate(hiding), cameras, ball)
     if sum(int(v.in_front().sum()) for v in views) < SEEN_MIN:
         raise BadInput(f"{name}: no camera sees it")
     progress("hole", 0.0)
     kept, dropped = background, 0
-    if photographed and (unseen := within_object(background, views, ball, progress)).any():
+    if photographed and (unseen := within_object(drawing, background, views, ball, progress)).any():
         kept, dropped = background.select(~unseen), int(unseen.sum())
         hiding.append(background.select(unseen))
-        views = draw_views(kept, concatenate(hiding), cameras, ball, no_progress)
+        views = draw_views(drawing, kept, concatenate(hiding), cameras, ball)
     textures = textures_around(views, removed, ball, photographed=photographed)
     if not textures:
         raise NoSurface(f"{name}: no surface was found that it stands on or leans at; nothing tells what is behind it")
     holes = [t for k, t in enumerate(textures) if t.hole.any() and (k == 0 or t.rim > RIM_KNOWN)]
     progress("hole", 1.0)
-    return Hole(kept, dropped, removed, ball, views, textures[0], holes)
+    return Hole(name, kept, dropped, removed, ball, views, textures[0], holes, kept.select(slice(0)))
 
 
 def textures_around(
@@ -176,47 +195,51 @@ def with_hole_first(textures: list[SurfaceTexture]) -> list[SurfaceTexture]:
     return sorted(textures, key=lambda t: (not t.hole.any(), -min(t.rim, RIM_KNOWN)))
 
 
-def take_shadow(hole: Hole, standing: Gaussians | None = None, progress: Progress = no_progress) -> Hole:
-    """The hole in surroundings without the shadow of the removed object. `standing` as of `inpaint`."""
+def take_shadow(
+    drawing: BlendingWeights, holes: list[Hole], standing: Sequence[Gaussians] = (), progress: Progress = no_progress
+) -> list[Hole]:
+    """Holes in surroundings without the shadow of the last one's object, whose background is that of all; `standing`
+    are other objects that cast shadows on it, besides those with an id in it."""
     progress("shadow", 0.0)
-    others = [hole.background.select(hole.background.object_id > 0), *([] if standing is None else [standing])]
-    shadow = find_shadow(hole.removed, concatenate(others), hole.support, hole.ball)
+    *before, hole = holes
+    others = concatenate([hole.background.select(hole.background.object_id > 0), *standing])
+    shadow = find_shadow(drawing, hole.removed, others, hole.support, hole.ball)
     if shadow is None:
-        return hole
+        return holes
     background = without_shadow(hole.background, shadow, hole.ball, hole.views)
     support, *textures = textures_without_shadow([hole.support, *hole.textures], shadow)
-    views = views_of(background, hole.views, progress)
-    return replace(hole, background=background, views=views, support=support, textures=textures)
+    lit = [replace(h, textures=textures_without_shadow(h.textures, shadow)) for h in before]
+    return [*lit, replace(hole, background=background, support=support, textures=textures)]
 
 
-def paint_hole(hole: Hole, painter: Painter, progress: Progress = no_progress) -> list[SurfaceTexture]:
-    """The textures with their holes painted."""
+def paint_hole(hole: Hole, before: list[SurfaceTexture], painter: Painter, progress: Progress = no_progress) -> Hole:
+    """The hole, painted, but for what others, painted `before`, show in the same place."""
     painted = []
     for k, t in enumerate(hole.textures):
         progress("paint", k / len(hole.textures))
+        for other in before:
+            t = t.beside(other)
+        if not t.hole.any():
+            continue
         y, x = (slice(max(0, a.min() - CONTEXT), a.max() + 1 + CONTEXT) for a in np.nonzero(t.hole))
         color = t.color.copy()
         color[y, x] = painter(t.color[y, x], ~t.known[y, x])
         painted.append(replace(t, color=color))
     progress("paint", 1.0)
-    return painted
+    seeds = (seed_patch(t, hole.background, hole.background.sh_degree) for t in painted)
+    return replace(hole, textures=painted, patch=concatenate([hole.patch, *seeds]))
 
 
-def close_hole(
-    hole: Hole, textures: list[SurfaceTexture], steps: int = STEPS, progress: Progress = no_progress
+def close_holes(
+    drawing: BlendingWeights, background: Gaussians, holes: Sequence[Hole], steps: int, progress: Progress
 ) -> Gaussians:
-    """The background, followed by the trained patch."""
-    if not textures:
+    """The background, followed by the patches of painted holes, which are trained together."""
+    holes = [h for h in holes if len(h.patch)]
+    patch, textures = [h.patch for h in holes], [t for h in holes for t in h.textures]
+    drawing.replace(background)
+    if targets := [t for h in holes for t in targets_of(drawing, h.views, textures)]:
+        radius = float(np.median([h.ball.radius for h in holes]))
+        patch = [train_patch(background, concatenate(patch), targets, radius, progress, steps * len(holes))]
+    else:
         progress("patch", 1.0)
-        return hole.background
-    patch = concatenate([seed_patch(t, hole.background, hole.background.sh_degree) for t in textures])
-    targets = []
-    wanted = in_threads(lambda view: target(view, textures), hole.views)
-    for view, (color, pixels, counts) in zip(hole.views, wanted, strict=True):
-        if pixels.sum() >= HOLE_PIXELS:
-            picture = (color.clip(0.0, 1.0) * 255).round().astype(np.uint8)
-            targets.append(Photograph(picture, counts, view.camera))
-    targets = [targets[i] for i in spread_indices(len(targets), VIEWS_MAX)]
-    if targets:
-        patch = train_patch(hole.background, patch, targets, hole.ball.radius, progress, steps)
-    return concatenate([hole.background, patch])
+    return concatenate([background, *patch])

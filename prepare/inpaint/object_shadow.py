@@ -24,7 +24,6 @@ from core.spherical_harmonics import C0
 from prepare.blending_weights import BlendingWeights
 from prepare.inpaint.hole_views import HoleView, Surroundings, image_positions, sampled, spread_indices
 from prepare.inpaint.support_surface import SurfaceTexture, normals_of
-from prepare.progress import Progress
 
 DIRECTIONS = 64  # over the half sphere above the surface
 FAR = 12.0  # radii of a thing to the eye of its shadow map: nearly parallel light
@@ -41,15 +40,14 @@ REACH = 5.0  # radii from the object's middle: where its shadow is taken away
 class ShadowMaps:
     """Shadow maps of an object: the share of light from directions (J, 3) that passes it."""
 
-    def __init__(self, thing: Gaussians, directions: np.ndarray):
+    def __init__(self, drawing: BlendingWeights, thing: Gaussians, directions: np.ndarray):
         ball = Surroundings.of(thing)
         radius = float(np.linalg.norm(thing.means - ball.centre, axis=1).max())
         eyes = ball.centre + FAR * radius * directions
         angle = 2.2 / FAR  # of the whole thing, with the width of its outermost Gaussians
         self._cameras = [perspective(MAP_SIDE, MAP_SIDE, angle, look_at(eye, ball.centre)) for eye in eyes]
-        drawing = BlendingWeights(thing, self._cameras)
+        drawing.replace(thing)
         self._maps = [drawing.picture(camera)[1:] for camera in self._cameras]
-        drawing.destroy()
 
     def passing(self, points: np.ndarray, bias: float) -> np.ndarray:
         """Light (N, J), 0..1, that reaches points (N, 3); occluders nearer than `bias` [m] to a point do not count."""
@@ -82,7 +80,7 @@ class ObjectShadow:
 
 
 def find_shadow(
-    removed: Gaussians, others: Gaussians | None, texture: SurfaceTexture, ball: Surroundings
+    drawing: BlendingWeights, removed: Gaussians, others: Gaussians, texture: SurfaceTexture, ball: Surroundings
 ) -> ObjectShadow | None:
     """Fit the shadow of an object, among others, on a surface; None if more of the surface is hidden than seen."""
     y, x = np.nonzero(texture.known)
@@ -92,8 +90,8 @@ def find_shadow(
     y, x = y[chosen], x[chosen]
     points = texture.surface.points(texture.places()[y, x])
     directions = half_sphere(DIRECTIONS) @ texture.surface.axes
-    own, bias = ShadowMaps(removed, directions), BIAS * ball.radius
-    maps = ShadowMaps(others, directions) if others is not None and len(others) else None
+    own, bias = ShadowMaps(drawing, removed, directions), BIAS * ball.radius
+    maps = ShadowMaps(drawing, others, directions) if len(others) else None
     passing = own.passing(points, bias)
     if maps is not None:
         passing = passing * maps.passing(points, bias)
@@ -171,14 +169,4 @@ def textures_without_shadow(textures: list[SurfaceTexture], shadow: ObjectShadow
         color = texture.color.copy()
         color[texture.known] /= left[:, None]
         found.append(replace(texture, color=color.clip(0.0, 1.0)))
-    return found
-
-
-def views_of(background: Gaussians, views: list[HoleView], progress: Progress) -> list[HoleView]:
-    """The views, with the colours of a background that differs in nothing else."""
-    drawing, found = BlendingWeights(background, [v.camera for v in views]), []
-    for k, view in enumerate(views):
-        found.append(replace(view, color=drawing.picture(view.camera)[0]))
-        progress("shadow", (k + 1) / len(views))
-    drawing.destroy()
     return found

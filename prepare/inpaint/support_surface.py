@@ -215,6 +215,15 @@ class SurfaceTexture:
         """Area of the hole [m^2]."""
         return float(self.hole.sum()) * self.texel**2
 
+    def beside(self, other: SurfaceTexture) -> SurfaceTexture:
+        """This texture, where it lies in the painted hole of another one known by that."""
+        at, apart = other.surface.local(self.surface.points(self.places())), self.surface.spread + other.surface.spread
+        same = (
+            self.hole & (np.abs(at[..., 2]) < 3 * (other.texel + apart)) & (other.sample(other.hole, at[..., :2]) > 0)
+        )
+        color = np.where(same[..., None], other.sample(other.color, at[..., :2]), self.color)
+        return replace(self, color=color, known=self.known | same, hole=self.hole & ~same)
+
 
 def texture_of(
     surface: SupportSurface,

@@ -57,23 +57,19 @@ def object_name(gaussians: Gaussians, k: int) -> str:
 
 
 def without_supports(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Gaussians:
-    """The Gaussians, those of objects that lie in the surface that these stand on as parts of the background: masks
-    took them along, and a body would carry them away."""
-    from prepare.inpaint.inpaint_pipeline import in_support
+    """The Gaussians in another order, those of objects that lie in the surface that these stand on as parts of the
+    background: masks took them along, and a body would carry them away."""
+    from prepare.inpaint import inpaint_pipeline
 
-    ids, cameras = gaussians.object_id.copy(), capture.cameras()
-    for k in np.unique(ids[ids > 0]):
-        own, others = np.flatnonzero(ids == k), gaussians.select((ids != k) & (ids > 0))
-        name = object_name(gaussians, k)
-        found = in_support(
-            gaussians.select(ids == 0),
-            gaussians.select(own),
-            cameras,
-            others=others,
-            progress=lambda _, done, name=name: progress(f"support of {name}", done),
-        )
-        ids[own[found]] = 0
-    return replace(gaussians, object_id=ids)
+    ids = gaussians.object_id
+    objects = {object_name(gaussians, k): gaussians.select(ids == k) for k in np.unique(ids) if k}
+    background, objects = inpaint_pipeline.without_supports(
+        gaussians.select(ids == 0),
+        objects,
+        capture.cameras(),
+        lambda name, *_: lambda _, done: progress(f"support of {name}", done),
+    )
+    return concatenate([background, *objects.values()])
 
 
 def placed_room(gaussians: Gaussians, capture: Capture, found: Contributions, scale: float | None) -> PlacedRoom:
@@ -191,28 +187,13 @@ def without_objects(room: PlacedRoom, lost: dict[str, str], say: Callable[[str],
 def inpainted(
     room: PlacedRoom, progress: Callable[[str, int, int], Progress], say: Callable[[str], None], painter=None
 ) -> Gaussians:
-    """The background with the places of its objects closed, one after the other; left open where there is no surface
-    to go on with, as a line to `say` tells. Raises BadInput."""
-    from prepare.inpaint.inpaint_pipeline import NoSurface, inpaint, paint_from_patches
+    """The background with the places of its objects closed; left open where there is no surface to go on with, as a
+    line to `say` tells. Raises BadInput."""
+    from prepare.inpaint.inpaint_pipeline import inpaint
 
     parts, rest = room.parts()
-    for k, (name, part) in enumerate(zip(room.names, parts, strict=True)):
-        others = [other for other in parts if other is not part]  # what they hid was not seen either
-        standing = parts[k + 1 :]  # those before took their shadow along
-        try:
-            rest = inpaint(
-                rest,
-                part,
-                room.view.cameras,
-                name=name,
-                others=concatenate(others) if others else None,
-                standing=concatenate(standing) if standing else None,
-                painter=painter or paint_from_patches,
-                progress=progress(name, k, len(parts)),
-            )
-        except NoSurface as e:
-            say(f"what it hid stays open: {e}")
-    return rest
+    objects = dict(zip(room.names, parts, strict=True))
+    return inpaint(rest, objects, room.view.cameras, painter=painter, progress=progress, say=say)[0]
 
 
 def bodies(

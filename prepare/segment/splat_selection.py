@@ -63,17 +63,14 @@ class ViewsAround:
     """
 
     def __init__(self):
-        self._room, self._weights = 0, None
+        self._weights = None
 
     def shares(self, gaussians: Gaussians) -> np.ndarray:
         """Visible share (VIEWS, N) float32, 0..1, of each Gaussian in each view."""
         n, plain = len(gaussians), gaussians.with_sh_degree(0)
-        if n <= self._room:
-            self._weights.replace(plain)
-        else:
-            self.destroy()
-            self._room = max(ROOM, 1 << (n - 1).bit_length())
-            self._weights = BlendingWeights(plain, sort="z", capacity=self._room)
+        if self._weights is None:
+            self._weights = BlendingWeights(plain, sort="z", capacity=ROOM)
+        self._weights.replace(plain)
         middle = 0.5 * (gaussians.means.min(axis=0) + gaussians.means.max(axis=0)).astype(np.float64)
         radius = np.linalg.norm(gaussians.means - middle, axis=1).max()
         everywhere = [np.ones((PICTURE, PICTURE), np.float32)]
@@ -90,7 +87,7 @@ class ViewsAround:
         """Free the device memory."""
         if self._weights is not None:
             self._weights.destroy()
-        self._room, self._weights = 0, None
+        self._weights = None
 
 
 def free_weights(means: np.ndarray, sigma: np.ndarray, opacities: np.ndarray, camera: Camera, way: np.ndarray):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from assets.gaussians import concatenate
 from core.camera import look_at, perspective
 from prepare.blending_weights import BlendingWeights
 from tests.support.painted_capture import painted_gaussians
@@ -34,6 +35,11 @@ def test_weights_in_a_picture_that_was_drawn_are_those_of_the_gaussians_now(ti_c
     assert np.ptp(weights.picture(camera)[0][15, 20]) == 0.0
     weights.replace(g.select(np.arange(len(g) // 2)))
     half = weights.sums(camera, everywhere)
+    both = concatenate([g, g])  # more than there was room for
+    weights.replace(both)
+    sums, alpha = weights.sums(camera, everywhere), weights.drawn()[2]
+    assert sums.shape == (len(both), 1) and sums.sum() == pytest.approx(alpha.sum(), rel=1e-4)
+    assert sums.sum() > 1.05 * first.sum()
     weights.destroy()
     alone = BlendingWeights(g.select(np.arange(len(g) // 2)))
     np.testing.assert_allclose(half, alone.sums(camera, everywhere), rtol=1e-4)

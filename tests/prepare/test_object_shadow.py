@@ -86,8 +86,11 @@ def test_what_an_object_leaves():
 class PlateDrawing:
     """A drawing of a round plate of radius 1 around the origin, across z, whose depth is noisy."""
 
-    def __init__(self, thing, cameras, **_):
+    def __init__(self):
         self._rng = np.random.default_rng(0)
+
+    def replace(self, thing):
+        pass
 
     def picture(self, camera):
         y, x = np.mgrid[: camera.height, : camera.width] + 0.5
@@ -98,19 +101,15 @@ class PlateDrawing:
         depth += 0.02 * self._rng.normal(size=depth.shape)
         return None, np.where(on, depth, np.inf).astype(np.float32), on.astype(np.float32)
 
-    def destroy(self):
-        pass
-
 
 @pytest.fixture
-def plate(monkeypatch):
+def plate():
     """The shadow of a plate of radius 1 that floats 1 m over a floor."""
-    monkeypatch.setattr("prepare.inpaint.object_shadow.BlendingWeights", PlateDrawing)
     floor, seen = SupportSurface(np.array([0.0, 0.0, -1.0]), np.eye(3), 0.01), np.ones((40, 40), bool)
     texture = SurfaceTexture(floor, np.full(2, -1.7), 0.085, np.full((40, 40, 3), 0.5), seen, ~seen)
     turn = np.arange(100) * 0.02 * np.pi
     thing = SimpleNamespace(means=np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1))
-    return find_shadow(thing, None, texture, Surroundings(np.zeros(3), 1.0))
+    return find_shadow(PlateDrawing(), thing, (), texture, Surroundings(np.zeros(3), 1.0))
 
 
 def test_a_noisy_surface_does_not_shade_itself_but_what_is_close_behind(plate):

@@ -1,8 +1,10 @@
 """A captured room: what cameras need, what holds an object, where the player stands, stages that go on."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -83,12 +85,17 @@ def test_an_object_of_too_few_gaussians_or_in_the_air_stays_in_the_background():
 def test_what_an_object_hid_stays_open_where_no_surface_goes_on_behind_it(monkeypatch):
     """The dot is on a thing of which no plane was found; the ball's hole is closed all the same."""
 
-    def inpaint(rest, thing, cameras, *, name, **options):
+    def find_hole(drawing, rest, thing, cameras, *, name, **options):
         if name == "dot":
             raise NoSurface(f"{name}: no surface was found")
-        return concatenate([rest, thing])
+        return SimpleNamespace(name=name, background=concatenate([rest, thing]), textures=[])
 
-    monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.inpaint", inpaint)
+    pipeline = "prepare.inpaint.inpaint_pipeline"
+    monkeypatch.setattr(f"{pipeline}.drawing_of", lambda *_: nullcontext())
+    monkeypatch.setattr(f"{pipeline}.find_hole", find_hole)
+    monkeypatch.setattr(f"{pipeline}.take_shadow", lambda drawing, holes, *_: holes)
+    monkeypatch.setattr(f"{pipeline}.paint_hole", lambda hole, *_: hole)
+    monkeypatch.setattr(f"{pipeline}.close_holes", lambda drawing, background, *_: background)
     things, said = [ball((x, 0.15, 0.0)) for x in (0.0, 0.6)], []
     rest = inpainted(room_of(*things), lambda *part: no_progress, said.append)
     assert len(rest) == len(plane(1, 0.0)) + len(things[1])

@@ -28,8 +28,8 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_840, "assets": 5_100, "scenes": 2_250, "sim": 10_600, "render": 3_400, "prepare": 13_300,
-    "display": 13_760, "commands": 4_300, "bench": 3_450, "installer": 200, "tests": 34_700,
+    "core": 2_870, "assets": 5_100, "scenes": 2_250, "sim": 10_600, "render": 3_400, "prepare": 13_300,
+    "display": 13_760, "commands": 4_300, "bench": 3_450, "installer": 200, "tests": 34_800,
 }  # fmt: skip
 MOST_FILES = 302  # of the product
 

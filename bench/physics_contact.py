@@ -351,25 +351,29 @@ MOST_PARTING = 0.5  # [m/s]
 
 def starts(stiffnesses=STIFFNESSES) -> list[dict]:
     """Cubes that begin inside one another, or in a floor, come out gently; nan where two have not come apart."""
-    rows, y, apart = [], 0.5 * SIDE - INSIDE, 0.5 * (SIDE - INSIDE)
-    names = ("two soft", "soft and rigid", "two rigid", "soft in a floor", "rigid in a floor")
+    rows, y = [], 0.5 * SIDE
+    apart = 0.5 * (SIDE - INSIDE)
     for integrator, young in stiffnesses:
-        soft, rigid = ((-apart, 3, 0), (apart, 3, 0), (-apart, 4, 0)), ((apart, 4, 0), (-apart, 5, 0), (apart, 5, 0))
-        bodies = [soft_cube("soft", Material(young, 0.3, 1000.0), p) for p in (*soft, (1, y, 0))]
-        bodies[3:3] = [RigidBody.box("rigid", (SIDE,) * 3, density=1000.0, position=p) for p in (*rigid, (2, y, 0))]
+        material = Material(young, 0.3, 1000.0)
+        soft = [
+            soft_cube("soft", material, p) for p in ((-apart, 3, 0), (apart, 3, 0), (-apart, 4, 0), (1, y - INSIDE, 0))
+        ]
+        size = {"size": (SIDE,) * 3, "density": 1000.0}
+        rigid = [RigidBody.box("rigid", **size, position=p) for p in ((apart, 4, 0), (-apart, 5, 0), (apart, 5, 0))]
+        bodies = [*soft[:3], *rigid, soft[3], RigidBody.box("rigid", **size, position=(2, y - INSIDE, 0))]
         solver = Solver(bodies, [FLOOR], gravity=(0, 0, 0), integrator=integrator, hands=0, sleep=False)
-        fastest = np.zeros(5)
+        fastest = dict.fromkeys(("two soft", "soft and rigid", "two rigid", "soft in a floor", "rigid in a floor"), 0.0)
         for _ in range(45):
             solver.step(FRAME)
             v = np.array([s.velocity for s in solver.bodies()])
-            parting = np.linalg.norm([v[1] - v[0], v[3] - v[2], v[5] - v[4], v[7], v[6]], axis=1)
-            fastest = np.maximum(fastest, parting)
-        x = np.array([s.centroid[0] for s in solver.bodies()])
-        fastest[:3][x[1:6:2] - x[:6:2] < 0.85 * SIDE] = np.nan
+            now = np.linalg.norm([v[1] - v[0], v[3] - v[2], v[5] - v[4], v[6], v[7]], axis=1)
+            fastest = {name: max(most, speed) for (name, most), speed in zip(fastest.items(), now, strict=True)}
+        x = np.array([s.centroid for s in solver.bodies()])
+        fastest |= dict.fromkeys(
+            (list(fastest)[k] for k in range(3) if x[2 * k + 1, 0] - x[2 * k, 0] < 0.85 * SIDE), np.nan
+        )
         prefix = f"{integrator}, {young:.0e} Pa, begun inside"
-        rows += [
-            at_most(f"{prefix}: {name} [m/s]", MOST_PARTING, speed) for name, speed in zip(names, fastest, strict=True)
-        ]
+        rows += [at_most(f"{prefix}: {name} [m/s]", MOST_PARTING, speed) for name, speed in fastest.items()]
     return rows
 
 

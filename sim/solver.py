@@ -421,7 +421,7 @@ class Solver:
             substep=self._wanted_substep,
             stiffest=model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing",
             crossing_time=model.crossing_time,
-            retardation=0.0 if rigid else min((p.material.retardation_time for p in model.bodies), default=0.0),
+            retardation=0.0 if rigid else model.retardation,
             device="cuda" if ti.cfg.arch == ti.cuda else "cpu",
         )
         longest = MAX_RIGID_SUBSTEP * SWEEPS[chosen.integrator]

@@ -122,8 +122,8 @@ class VertexDescent:
         b = self.state.body_of_vertex[i]
         for c in ti.static(self.on_vertex):
             c.evaluate_vertex(i)
-            depth, _phi, _normal = c.static.deepest(i, self.state.dx_predicted[i])
-            if self.state.inv_mass[i] > 0.0 and depth > IMPACT_DEPTH * self.state.max_step[b]:
+            depth, _phi, _normal = c.deepest(i, self.state.dx_predicted[i])
+            if depth > IMPACT_DEPTH * self.state.max_step[b]:
                 ti.atomic_max(self.impact[b], (ti.cast(depth * 1e7, ti.i64) << 32) | ti.cast(i, ti.i64))
 
     @ti.func
@@ -138,10 +138,10 @@ class VertexDescent:
         if self.impact[b] > 0 and s.inv_mass[i] > 0.0:
             first, dt = ti.cast(self.impact[b] & ti.i64(0x7FFFFFFF), ti.i32), s.dt[None]
             for c in ti.static(self.on_vertex):
-                _depth, phi, n = c.static.deepest(first, s.dx_predicted[first])
+                _depth, phi, n = c.deepest(first, s.dx_predicted[first])
                 approach, speed = -n.dot(s.dx[i]), -n.dot(s.dx_predicted[first]) / dt
                 distance = ti.max(n.dot(s.x[i] - s.x[first]), 0.0)
-                t = ti.max(phi, 0.0) / ti.max(speed, 1e-6) + distance / ti.sqrt((s.lam[b] + s.mu[b]) / s.density[b])
+                t = ti.max(phi, 0.0) / speed + distance / ti.sqrt((s.lam[b] + s.mu[b]) / s.density[b])
                 if approach > 0.0 and t < dt:
                     s.dx[i] += (1.0 - t / dt) * approach * n
 

@@ -118,7 +118,11 @@ class PersistentVBD:
             self._turn(thread, n > 0, n < substeps)
             rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
             if n < substeps:
-                self._each_own(thread, self.descent.await_impact)
+                i, end = own_vertices(self, thread)
+                while i < end:
+                    if s.awake_vertex(i):
+                        self.descent.await_impact(i)
+                    i += self.grid.block
                 rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                 self._stage(thread, mine, several, ALL_COLORS, points, words)
                 if paired:
@@ -193,7 +197,11 @@ class PersistentVBD:
             whole.solve(b, thread % self.grid.warp)
             b += self.grid.warps
         passed = self.grid.meet(thread, passed, s.substep_index, 0)
-        self._each_own(thread, whole.move)
+        i, end = own_vertices(self, thread)
+        while i < end:
+            if s.awake_vertex(i):
+                whole.move(i)
+            i += self.grid.block
         return self.grid.meet(thread, passed, s.substep_index, 0)
 
     @ti.func
@@ -224,15 +232,6 @@ class PersistentVBD:
                 self._each_block(thread, self.modal.sum_products)
                 passed = self.grid.meet(thread, passed, s.substep_index, 1)
         return passed
-
-    @ti.func
-    def _each_own(self, thread, step: ti.template()):
-        """Take step(i) for each vertex of this thread's share that is awake."""
-        i, end = own_vertices(self, thread)
-        while i < end:
-            if self.state.awake_vertex(i):
-                step(i)
-            i += self.grid.block
 
     @ti.func
     def _each_block(self, thread, step: ti.template()):
@@ -383,9 +382,14 @@ class PersistentVBD:
     @ti.func
     def _pairs(self, thread, rounds, last):
         """Phases of all pairs, in the last sweep all of them, and each vertex's push; returns as `solve_phases`."""
+        s = self.state
         passed = solve_phases(self, thread, rounds, ALL_PASSES if last else EARLY_PASSES)
-        self._each_own(thread, self.descent.push)
-        return self.grid.meet(thread, passed, self.state.substep_index, 0)
+        i, end = own_vertices(self, thread)
+        while i < end:
+            if s.awake_vertex(i):
+                self.descent.push(i)
+            i += self.grid.block
+        return self.grid.meet(thread, passed, s.substep_index, 0)
 
     def destroy(self) -> None:
         for part in (self.grid, self.patches, self.descent, self.whole, self.modal, self._group):

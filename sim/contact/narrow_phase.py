@@ -135,7 +135,7 @@ class StaticContact:
 
     @ti.func
     def deepest(self, i, dx):
-        """Depth [m] to which the increment dx [m] brings vertex i into a shape, 0 if into none; its phi and normal."""
+        """Of the shape that the increment dx [m] brings vertex i deepest into: the depth [m], 0 if none, phi and normal."""
         depth, phi, normal, p = 0.0, 0.0, vec3(0.0), self.samples.of_vertex[i]
         if p >= 0:
             for k in range(self.contact_count[p]):

@@ -196,11 +196,6 @@ class Contacts(Constraint):
         self.static.evaluate_vertex(i)
 
     @ti.func
-    def deepest(self, i, dx):
-        """VBD, after `evaluate_vertex`: see StaticContact."""
-        return self.static.deepest(i, dx)
-
-    @ti.func
     def external_displacement(self, i, dx):
         """VBD, at the begin of a substep: displacement [m] that hands give vertex i if it moves by dx otherwise."""
         return self.hands.apply_springs(i, dx) - dx

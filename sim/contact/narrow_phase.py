@@ -134,17 +134,6 @@ class StaticContact:
             self.contact_count[p] = count
 
     @ti.func
-    def deepest(self, i, dx):
-        """Of the shape that the increment dx [m] brings vertex i deepest into: the depth [m], 0 if none, phi and normal."""
-        depth, phi, normal, p = 0.0, 0.0, vec3(0.0), self.samples.of_vertex[i]
-        if p >= 0:
-            for k in range(self.contact_count[p]):
-                d = -self.phi[p, k] - self.normal[p, k].dot(dx - self.state.x_lo[i])
-                if d > depth:
-                    depth, phi, normal = d, self.phi[p, k], self.normal[p, k]
-        return depth, phi, normal
-
-    @ti.func
     def project_vertex_metric(self, i, dx, H, A, prior):
         """The increment dx of vertex i [m] moved out of all shapes near it in the metric of H = A^-1.
 

@@ -230,7 +230,6 @@ class ModalCorrection:
                 total[k, l] = self._sum(total[k, l])
             p[k], q[k] = self._sum(p[k]), self._sum(q[k])
         if lane == 0:
-            self.descent.impact[b] = 0
             self.rotation[b] = to_matrix(polar_quaternion(total - p.outer_product(q) / self.state.body_mass[b]))
 
     @ti.func

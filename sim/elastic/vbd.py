@@ -33,13 +33,12 @@ from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.substep import ALL_PASSES, Constraint, commit, phase_kernels
 from sim.elastic.whole_bodies import WholeBodies
-from sim.model import MAX_BODIES, Model, RestShape, stacked
+from sim.model import Model, RestShape, stacked
 from sim.reductions import ReductionBlocks
 from sim.state import State
 from sim.time_step import SWEEPS
 
 MAX_COLORS = 64
-IMPACT_DEPTH = 0.1  # [max_step] by which a vertex would enter a shape: from there on it is an impact
 EARLY_PASSES = 1  # over rigid contacts in all sweeps but the last: the next sweep applies all impulses again
 COLLAPSING_I1 = 1.5  # tr F^T F; below 1 the energy has a further term, mu/2 (1 - I1)^2 ...
 COLLAPSING_STIFFNESS = 5.0  # ... whose second derivative along b is at most 4 mu |b|^2: mu + 4 mu in H never overshoots
@@ -95,7 +94,6 @@ class VertexDescent:
         self.fall = g.vector(V)  # what is expected of the acceleration [m/s^2]
         self.contact_stiffness = g.scalar(V)  # of the vertex where something touches it, else 0 [N/m]
         self.effective_inv_mass = g.scalar(V)  # displacement within the substep per impulse [1/kg]
-        self.impact = g.scalar(MAX_BODIES, dtype=ti.i64)  # vertex that enters a shape deepest, after its depth [1e-7 m]
         g.build()
         last = [self.fall, self.reaction, self.contact_stiffness, self.impulse_displacement, self.effective_inv_mass]
         self._write_last = Upload(last)
@@ -119,31 +117,8 @@ class VertexDescent:
     @ti.func
     def find_contacts(self, i):
         """Evaluate the contacts of vertex i with static shapes, which are the same in all sweeps."""
-        b = self.state.body_of_vertex[i]
         for c in ti.static(self.on_vertex):
             c.evaluate_vertex(i)
-            depth, _phi, _normal = c.deepest(i, self.state.dx_predicted[i])
-            if depth > IMPACT_DEPTH * self.state.max_step[b]:
-                ti.atomic_max(self.impact[b], (ti.cast(depth * 1e7, ti.i64) << 32) | ti.cast(i, ti.i64))
-
-    @ti.func
-    def await_impact(self, i):
-        """Begin the sweeps where vertex i comes to until a wave from the impact on its body reaches it.
-
-        At a distance d from the vertex that strikes at speed v, phi before it touches, that takes phi / v + d / c, with
-        c^2 = (lambda_L + 2 mu) / rho. Few sweeps would leave what goes on meanwhile, and meets what has stopped,
-        crushed: 4 to 13 times the energy of the impact.
-        """
-        s, b = self.state, self.state.body_of_vertex[i]
-        if self.impact[b] > 0 and s.inv_mass[i] > 0.0:
-            first, dt = ti.cast(self.impact[b] & ti.i64(0x7FFFFFFF), ti.i32), s.dt[None]
-            for c in ti.static(self.on_vertex):
-                _depth, phi, n = c.deepest(first, s.dx_predicted[first])
-                approach, speed = -n.dot(s.dx[i]), -n.dot(s.dx_predicted[first]) / dt
-                distance = ti.max(n.dot(s.x[i] - s.x[first]), 0.0)
-                t = ti.max(phi, 0.0) / speed + distance / ti.sqrt((s.lam[b] + s.mu[b]) / s.density[b])
-                if approach > 0.0 and t < dt:
-                    s.dx[i] += (1.0 - t / dt) * approach * n
 
     @ti.func
     def load(self, i):
@@ -308,7 +283,6 @@ class VBDSubsteps:
                 if s.awake_vertex(i):
                     self.descent.begin(i, s.dx_predicted[i])
                     self.descent.find_contacts(i)
-            s.each_vertex(self.descent.await_impact)
             for c in ti.static(in_pairs):
                 ti.loop_config(serialize=s.few)
                 for k in range(c.phase_count(0)):

@@ -118,12 +118,7 @@ class PersistentVBD:
             self._turn(thread, n > 0, n < substeps)
             rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
             if n < substeps:
-                i, end = own_vertices(self, thread)
-                while i < end:
-                    if s.awake_vertex(i):
-                        self.descent.await_impact(i)
-                    i += self.grid.block
-                rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
+                self._find_contacts(thread, mine)
                 self._stage(thread, mine, several, ALL_COLORS, points, words)
                 if paired:
                     evaluate_candidates(self, thread)
@@ -133,7 +128,7 @@ class PersistentVBD:
 
     @ti.func
     def _turn(self, thread, ends, begins):
-        """End a substep, begin the next one: shorten the last step, commit, predict, find contacts, sum moments."""
+        """End a substep, begin the next one: shorten the last step, commit, predict; and the moments for rotations."""
         s, m = self.state, self.modal
         j, lane = self.grid.warp_index(thread), thread % self.grid.warp
         while j < m.blocks.begin[s.body_count[None]]:
@@ -149,7 +144,6 @@ class PersistentVBD:
                         predicted = self.descent.end(i, s.dx[i] + (kept - 1.0) * m.step[i])
                     if begins:
                         self.descent.begin(i, predicted)
-                        self.descent.find_contacts(i)
                     i += self.grid.warp
                 if begins:
                     m.sum_moments(j, self.origin[span[2]], lane)
@@ -308,6 +302,23 @@ class PersistentVBD:
     def _share(self, workers, resident, together: ti.template()):
         """Number of workers for each resident patch, a multiple of `together`."""
         return ti.max(workers // ti.max(resident, 1) // together, 1) * together
+
+    @ti.func
+    def _find_contacts(self, thread, mine):
+        """Evaluate static contacts of the vertices of the block's own patches."""
+        p, own, k = self.patches, thread % self.grid.block, 0
+        while k < mine:
+            resident = ti.min(mine - k, RESIDENT)
+            share = self._share(self.grid.block, resident, 1)
+            r = own // share
+            while r < resident:
+                patch = p.awake[thread // self.grid.block + (k + r) * self.grid.blocks]
+                at = p.local_begin[patch] + own % share
+                while at < p.own_end[patch]:
+                    self.descent.find_contacts(p.local[at])
+                    at += share
+                r += self.grid.block // share
+            k += RESIDENT
 
     @ti.func
     def _sweep(self, thread, resident, color, points: ti.template(), words: ti.template()):

@@ -221,11 +221,6 @@ class Contacts(Constraint):
                 if k == 0:
                     for j in range(1 + self.constraints.passes):
                         self.constraints.changed[j] = 0
-                if self.constraints.status[r] == VALID and self.constraints.phi[r] < -START_DEPTH:
-                    a, b = self.bodies_of(r)
-                    if b != FINGER:
-                        self.state.limit_start(a, self.constraints.phi[r])
-                        self.state.limit_start(ti.max(a, b), self.constraints.phi[r])
                 if self.constraints.status[r] != NOT_CHECKED:
                     self._activate(r, self.constraints.status[r] == VALID, integrator)
             elif ti.static(self.soft or self.has_fingers):
@@ -293,6 +288,11 @@ class Contacts(Constraint):
                 elif ti.static(self.soft):
                     usable = self.static.evaluate(r)
                 status = VALID if usable else NO_DISTANCE
+                if usable and self.constraints.phi[r] < -START_DEPTH:
+                    a, b = self.bodies_of(r)
+                    if b != FINGER:
+                        self.state.limit_start(a, self.constraints.phi[r])
+                        self.state.limit_start(ti.max(a, b), self.constraints.phi[r])
             self.constraints.status[r] = status
 
     @ti.func

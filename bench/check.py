@@ -29,7 +29,6 @@ MEASUREMENTS: tuple[Callable[..., list[dict]], ...] = (
     physics.energy_kept,
     physics_contact.rigid_bodies,
     physics_contact.momentum_kept,
-    physics_contact.starts,
     physics_contact.ring_throws,
     physics_contact.pile_at_rest,
     physics.cuda_and_cpu,
@@ -38,7 +37,6 @@ QUICK = {  # arguments of their quick form
     physics.swings: {"seconds": 0.25},
     physics.energy_kept: {"substeps": 50_000, "vbd_substeps": 20_000},
     physics_contact.momentum_kept: {"stiffnesses": (("vbd", 1e6), ("vbd", 1e8), ("xpbd", 1e6))},
-    physics_contact.starts: {"stiffnesses": (("vbd", 1e8), ("xpbd", 1e6))},
     physics_contact.ring_throws: {"count": 15, "seconds": 0.5},
     physics_contact.pile_at_rest: {"seconds": 5.0},
 }

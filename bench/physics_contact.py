@@ -237,17 +237,13 @@ SLIDING = 0.2  # coefficient of friction of all but the sled and its load, which
 WALL = -3.0  # [m], x of a wall without friction, the floor of the sled
 
 
-def soft_cube(name: str, material: Material, position) -> SoftBody:
-    """A cube of SIDE with its centre at a position."""
-    x, tets, surface = box((SIDE,) * 3, (3, 3, 3))
-    return SoftBody(name, x - SIDE / 2, tets, surface, material, position=position)
-
-
 def meeting_bodies(young: float) -> list[SoftBody | RigidBody]:
     """Cubes that meet, a slider on the floor, a rigid, a soft and a rigid one stacked, a sled on the wall, loaded."""
+    x, tets, surface = box((SIDE,) * 3, (3, 3, 3))
 
     def soft(name, position, friction=SLIDING, damping=0.0):
-        return soft_cube(name, Material(young, 0.3, 1000.0, friction=friction, damping=damping), position)
+        material = Material(young, 0.3, 1000.0, friction=friction, damping=damping)
+        return SoftBody(name, x - SIDE / 2, tets, surface, material, position=position)
 
     def rigid(name, position, size=(SIDE,) * 3, friction=SLIDING):
         return RigidBody.box(name, size, density=1000.0, friction=friction, position=position)
@@ -342,38 +338,6 @@ def momentum_kept(stiffnesses=STIFFNESSES) -> list[dict]:
             found = at_most(f"{integrator}, {young:.0e} Pa: {name}", LIMITS[name.split(", ")[-1]], abs(value))
             known = integrator == "vbd" and name.startswith("slope" if young > 1e7 else "stack" if young < 1e5 else "-")
             rows.append({**found, "pass": None} if known else found)
-    return rows
-
-
-INSIDE = 0.04  # [m] that bodies begin inside of one another
-MOST_PARTING = 0.5  # [m/s]
-
-
-def starts(stiffnesses=STIFFNESSES) -> list[dict]:
-    """Cubes that begin inside one another, or in a floor, come out gently; nan where two have not come apart."""
-    rows, y = [], 0.5 * SIDE
-    apart = 0.5 * (SIDE - INSIDE)
-    for integrator, young in stiffnesses:
-        material = Material(young, 0.3, 1000.0)
-        soft = [
-            soft_cube("soft", material, p) for p in ((-apart, 3, 0), (apart, 3, 0), (-apart, 4, 0), (1, y - INSIDE, 0))
-        ]
-        size = {"size": (SIDE,) * 3, "density": 1000.0}
-        rigid = [RigidBody.box("rigid", **size, position=p) for p in ((apart, 4, 0), (-apart, 5, 0), (apart, 5, 0))]
-        bodies = [*soft[:3], *rigid, soft[3], RigidBody.box("rigid", **size, position=(2, y - INSIDE, 0))]
-        solver = Solver(bodies, [FLOOR], gravity=(0, 0, 0), integrator=integrator, hands=0, sleep=False)
-        fastest = dict.fromkeys(("two soft", "soft and rigid", "two rigid", "soft in a floor", "rigid in a floor"), 0.0)
-        for _ in range(45):
-            solver.step(FRAME)
-            v = np.array([s.velocity for s in solver.bodies()])
-            now = np.linalg.norm([v[1] - v[0], v[3] - v[2], v[5] - v[4], v[6], v[7]], axis=1)
-            fastest = {name: max(most, speed) for (name, most), speed in zip(fastest.items(), now, strict=True)}
-        x = np.array([s.centroid for s in solver.bodies()])
-        fastest |= dict.fromkeys(
-            (list(fastest)[k] for k in range(3) if x[2 * k + 1, 0] - x[2 * k, 0] < 0.85 * SIDE), np.nan
-        )
-        prefix = f"{integrator}, {young:.0e} Pa, begun inside"
-        rows += [at_most(f"{prefix}: {name} [m/s]", MOST_PARTING, speed) for name, speed in fastest.items()]
     return rows
 
 

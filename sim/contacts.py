@@ -28,7 +28,7 @@ from sim.model import MAX_BODIES, Capacity, Model, fit
 from sim.rigid.rigid_bodies import RigidBodies, RigidShapes
 from sim.rigid.rigid_broad_phase import GROUPS, SLOTS, RigidBroadPhase
 from sim.rigid.rigid_contact import RigidContacts
-from sim.state import START_DEPTH, State
+from sim.state import State
 
 FINGER = -2  # in place of a body
 
@@ -288,11 +288,6 @@ class Contacts(Constraint):
                 elif ti.static(self.soft):
                     usable = self.static.evaluate(r)
                 status = VALID if usable else NO_DISTANCE
-                if usable and self.constraints.phi[r] < -START_DEPTH:
-                    a, b = self.bodies_of(r)
-                    if b != FINGER:
-                        self.state.limit_start(a, self.constraints.phi[r])
-                        self.state.limit_start(ti.max(a, b), self.constraints.phi[r])
             self.constraints.status[r] = status
 
     @ti.func

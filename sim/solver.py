@@ -30,7 +30,7 @@ from sim.recovery import NonFiniteRecovery, Untangling
 from sim.reductions import Observation, ReductionBlocks, Reductions
 from sim.rigid.rigid_bodies import MAX_RIGID_SUBSTEP, RigidBodies, passes_for
 from sim.sleeping import Sleeping
-from sim.state import MOTION, START_FRAMES, State, motion_of
+from sim.state import MOTION, State, motion_of
 from sim.time_step import STABILITY_LIMIT, SWEEPS, Integration, Schedule, choose_integration
 
 MAX_FRAME_DT = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
@@ -374,7 +374,6 @@ class Solver:
         models = tuple(snapshot.get("bodies", self._model.bodies))
         motion = motion_of(snapshot, sum(len(m.shape.vertices) for m in models))
         self._set_bodies(models, motion, snapshot.get("grasps"))
-        self.state.starting.fill(0)
         self.untangling.restore(snapshot.get("untangling"))
         self._sleeping.restore(snapshot.get("asleep"))
         self._rigid_editing.reset()
@@ -476,7 +475,6 @@ class Solver:
         """Take edited bodies, with the motion of each."""
         motion = np.concatenate([np.zeros((4, 0, 3), np.float32), *motions], axis=1)
         self._set_bodies(tuple(models), motion, grasps)
-        self.state.starting.fill(START_FRAMES)
         self._rigid_editing.reset(held=True)
 
     def _restart_contacts(self, grasps: GraspState | None) -> None:

@@ -32,9 +32,6 @@ NEWMARK_BETA = 0.25  # the trapezoidal rule; less is not stable at every dt, mor
 # dt sqrt(max kappa) up to which the stress may lag, seven times what XPBD bears. Beyond, the sweeps of VBD leave too
 # much undone: of undamped bars of 8 x 3 x 3 cells, energy stayed within 5% at 2.5, and grew a millionfold at 3.
 MAX_LAGGING_STABILITY = 2.2
-# Bodies that begin this deep [m] in one another or a shape leave no faster [m/s]; after so many frames they are stuck,
-# and may be pulled out. What they store meanwhile would throw them apart at 1 to 20 m/s.
-START_DEPTH, START_SPEED, START_FRAMES = 2e-3, 0.2, 180
 MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot; x_lo and v_lo are what float32 does not hold of x and v
 # Tets of the first bodies, below which no loop of a CPU is shared: waking threads takes 30 us, and to fetch positions
 # that another core has written takes longer than to compute them where cores are far apart, 250 ns a cache line
@@ -92,7 +89,6 @@ class State:
         self.sliding_friction = g.scalar(B)  # kinetic coefficient
         self.max_step = g.scalar(B)  # the farthest that a vertex may move in a stable substep of XPBD [m]
         self.speed_limit = g.scalar(B)  # of this frame's substeps [m/s]
-        self.starting = g.scalar(B, dtype=ti.i32)  # frames left in which it may leave what it began inside of
         self.untangling = g.scalar(B, dtype=ti.i32)  # 1 while it is moved to its rest shape, through itself
         self.inverted = g.scalar(B, dtype=ti.i32)  # bit 0 is set by elasticity where a tet is inverted
         self.stress_lag = g.scalar(B)  # [s] of this frame's substeps; of damped bodies exactly 0
@@ -180,13 +176,6 @@ class State:
                 step(i)
 
     @ti.func
-    def limit_start(self, b, phi):
-        """Slow body b, in contact at distance phi [m], if it is still as deep in something as when it was put there."""
-        if phi < -START_DEPTH and self.starting[b] > 0:  # noqa: SIM102
-            if self.starting[b] < START_FRAMES - 1 or self.substep_index[None] == 0:
-                self.speed_limit[b] = ti.min(self.speed_limit[b], START_SPEED)
-
-    @ti.func
     def frictions(self, b):
         """(mu_s, mu_k) of body b; between two bodies the geometric mean counts."""
         return ti.Vector([self.friction[b], self.sliding_friction[b]])
@@ -239,9 +228,6 @@ class State:
         for b in range(MAX_BODIES):
             # A longer substep, of VBD, makes no body slower: its own elements do not limit how fast it may fly
             stable = STABILITY_LIMIT / ti.sqrt(ti.max(self.kappa[b], 1e-12))
-            if self.starting[b] > 0:
-                inside = self.speed_limit[b] <= START_SPEED or self.starting[b] == START_FRAMES
-                self.starting[b] = self.starting[b] - 1 if inside else 0
             self.speed_limit[b] = self.max_step[b] / ti.min(dt, stable)
             converges = dt * ti.sqrt(self.kappa[b]) <= MAX_LAGGING_STABILITY
             self.stress_lag[b] = NEWMARK_BETA * ti.max(dt - self.retardation[b], 0.0) if converges else 0.0

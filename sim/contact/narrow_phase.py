@@ -85,7 +85,6 @@ class StaticContact:
         friction = ti.sqrt(s.frictions(self.samples.body[p]) * self.shapes.friction[shape])
         if known(phi):
             phi += self.samples.skin[p] + n.dot(s.x_lo[i])
-            s.limit_start(self.samples.body[p], phi)
         return phi, n, friction
 
     @ti.func

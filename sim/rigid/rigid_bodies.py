@@ -27,7 +27,7 @@ from sim.contact.response import CONTACT_SLOP
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, box_distance
 from sim.elastic.substep import Constraint
 from sim.model import MAX_BODIES, BodyModel, Model, RestShape
-from sim.state import START_SPEED, State
+from sim.state import State
 
 SOFT, FREE, DRIVEN = range(3)  # kinds of bodies
 MAX_ROTATION = 0.5  # [rad] a substep; beyond, the attitude's increments, of first order, mean nothing
@@ -275,7 +275,7 @@ class RigidBodies(Constraint):
         dt = s.dt[None]
         change = dt * s.gravity[None] + (d - self.dx_predicted[b]) / dt
         v, v_lo = two_sum(self.v[b], self.v_lo[b] + change)
-        speed, limit = v.norm(), START_SPEED if s.speed_limit[b] <= START_SPEED else self.max_step[b] / dt
+        speed, limit = v.norm(), self.max_step[b] / dt
         if speed > limit:
             v, v_lo = v * (limit / speed), 0.0 * v
         self.v[b], self.v_lo[b] = v, v_lo

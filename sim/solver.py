@@ -401,7 +401,6 @@ class Solver:
             self._sleeping.end_frame(WARM_UP_SUBSTEP)
             integrator.reset()
         self.kinematic.end_frame()
-        self.state.starting.fill(0)  # as `restore` does: a kernel for each number
         self.reset()
 
     def destroy(self) -> None:

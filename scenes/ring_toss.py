@@ -4,17 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.dining_table import (
-    BACKGROUND,
-    BOTTLE,
-    BOTTLE_HEIGHT,
-    RING_MATERIAL,
-    TABLE_TOP,
-    colliders,
-    furniture,
-    lamp,
-    room,
-)
+from scenes.dining_table import BOTTLE, BOTTLE_HEIGHT, RING_MATERIAL, TABLE_TOP, table_scene
 from scenes.scene import Body, BodyState, Capsule, Hand, Role, Scene
 from scenes.scripted_hands import Throw
 
@@ -88,14 +78,11 @@ def build() -> Scene:
         for asset, (x, z) in zip(COLOURS, STARTS, strict=True)
     ]
     neck = Capsule((BOTTLE[0], TABLE_TOP + 0.2, BOTTLE[2]), (BOTTLE[0], TABLE_TOP + 0.28, BOTTLE[2]), 0.014)
-    return Scene(
-        bodies=[*furniture(), *rings],
-        colliders=[*colliders(), neck],
-        light=lamp(),
-        background=BACKGROUND,
+    return table_scene(
+        rings,
+        [neck],
         eye=(0.0, 1.42, 1.15),
         target=(0.0, 0.86, -0.12),
         game=RingToss(),
         roles=(Role("ring", tuple(COLOURS)),),
-        room=room(),
     )

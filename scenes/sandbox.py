@@ -12,7 +12,7 @@ import numpy as np
 
 from assets.library import animated_height, default_material
 from core.material import Material
-from scenes.dining_table import BACKGROUND, RING_MATERIAL, TABLE_TOP, colliders, furniture, lamp, room
+from scenes.dining_table import RING_MATERIAL, TABLE_TOP, table_scene
 from scenes.roles import bounds
 from scenes.scene import Body, BodyState, Hand, Role, Scene, Vec3
 from scenes.scripted_hands import Throw
@@ -91,16 +91,12 @@ def build(body: tuple[str, ...] = TOYS, material: str | None = None) -> Scene:
     height = animated_height(body[0])
     start = START if height is None else (START[0], TABLE_TOP, 0.0)
     back = 0.0 if height is None else min(max(1.5 * height - 0.7, 0.0), 1.2)  # [m], to see it from head to foot
-    return Scene(
-        bodies=[*furniture(), *side_by_side(body, material, start), *rings(start, height)],
-        colliders=colliders(),
-        light=lamp(),
-        background=BACKGROUND,
+    return table_scene(
+        [*side_by_side(body, material, start), *rings(start, height)],
         eye=(0.0, 1.35 + 0.3 * back, 1.0 + back),
         target=(0.0, 0.85 + 0.6 * back, 0.0),
         game=Sandbox(dancer_height=height),
         roles=(Role("toy" if height is None else "dancer", tuple(body)),),
-        room=room(),
     )
 
 

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from assets.asset import Asset
 from assets.gaussians import Gaussians
+from assets.orientation import turned_about_up
 from bench.render_speed import box_surface, turns_to
 from core.camera import look_at, perspective
 from core.material import Material
@@ -240,9 +241,11 @@ class TwistedBar:
         if body:
             pictures["at rest"] = body.draw_carried(self.asset, solver)
         ramp, hold, swing = (max(round(s / FRAME), 1) for s in seconds)
+        head, middle = self.rest[self.top], self.rest[self.top].mean(0)
         for k in range(ramp + hold):
             u = min((k + 1) / ramp, 1.0)
-            solver.kinematic.drive_vertices(0, self.top, turned(self.rest[self.top], turn * u * u * (3 - 2 * u)))
+            turned = (head - middle) @ turned_about_up(turn * u * u * (3 - 2 * u)).T + middle
+            solver.kinematic.drive_vertices(0, self.top, turned)
             solver.step(FRAME)
         x = solver.snapshot()["x"].astype(np.float64)
         angles = [self.angle(x, h) / turn for h in HEIGHTS]
@@ -287,13 +290,6 @@ def quarter_period(bar: TwistedBar) -> float:
     shear, _ = MATERIAL.lame_parameters
     top = bar.rest[:, 1].max()
     return (top - bar.foot) / float(np.sqrt(SQUARE * shear / MATERIAL.density))
-
-
-def turned(x: np.ndarray, angle: float) -> np.ndarray:
-    """Points (N, 3) after a rotation about the y axis through their middle."""
-    c, s = np.cos(angle), np.sin(angle)
-    middle = x.mean(0)
-    return (x - middle) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T + middle
 
 
 def crossing_frequency(angle: np.ndarray) -> float:

@@ -67,12 +67,7 @@ def measure(demo: PaperDemo, play: StereoPlay, frames: int, first: int) -> dict:
         "worst_ms": float(took.max()),
         "photon_ms": float(np.median(photon)),
         "fps": float(1e3 / took.mean()),
-        "paper": {
-            "gaussians": demo.gaussians,
-            "vertices": demo.vertices,
-            "iterations": demo.iterations,
-            "fps": demo.fps,
-        },
+        "paper": {name: getattr(demo, name) for name in ("gaussians", "vertices", "iterations", "fps")},
         "arch": str(ti.cfg.arch).removeprefix("Arch."),
     }
 

@@ -12,6 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
+from bench.render_speed import two_eyes
 from core.camera import Camera, look_at
 from core.fields import destroy_fields
 from core.runtime import keep_compiled_kernels
@@ -27,7 +28,6 @@ from scenes import ring_toss
 from scenes.scene import Scene
 
 EYE_SIZE = (1800, 1920)  # [px] of an eye
-APART = 0.064  # [m] between the eyes
 RATE = 90.0  # [Hz]
 REACH = (0.2, -0.3, 0.4)  # [m] of each hand from the head: sideways, up, forwards
 
@@ -95,13 +95,7 @@ class StereoPlay:
         """Both eyes of a head that sways: one to the left, one to the right, looking the same way."""
         sway = (0.05 * math.sin(0.02 * k), 0.02 * math.sin(0.013 * k), 0.0)
         between = look_at([e + s for e, s in zip(self.scene.eye, sway, strict=True)], self.scene.target)
-        width, height = self.size
-        f, cameras = 0.55 * width, []
-        for side in (0.5, -0.5):
-            view = between.copy()
-            view[0, 3] += side * APART
-            cameras.append(Camera(width, height, f, f, width / 2, height / 2, view))
-        return cameras
+        return two_eyes(between, *self.size, 0.55 * self.size[0])
 
     def controllers(self, k: int) -> list[Controller]:
         """Both hands before the head, in motion."""

@@ -1,7 +1,7 @@
 """`vrgs.py figures`: the paper's figures and tables (VR-GS: Jiang et al. 2024), made and measured here, as one page.
 
-Embedding with one level and with two, shadows on and off, a bar under twist beside theory, the solvers, and a picture
-of each demo. The page holds all pictures; a JSON file beside it holds the numbers.
+Embedding with one level and with two, shadows on and off, a bar under twist beside theory, the solvers, inpainted
+objects, and a picture of each demo. The page holds all pictures; a JSON file beside it holds the numbers.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from assets.file_access import atomic_write_all, check_writable, make_folder
@@ -29,8 +30,8 @@ from bench.bar_figures import (
     quarter_period,
     striped_bar,
 )
-from bench.inpainting import inpainting_section
 from core.camera import look_at, perspective
+from core.errors import BadInput
 from core.fields import destroy_fields
 from core.report import Section, Table, html_page
 from core.runtime import keep_compiled_kernels, running_arch
@@ -39,6 +40,14 @@ from display.picture import pixels_of
 from display.protocol import Frame
 from display.timing import run_stats
 from display.world import World
+from prepare.inpaint import inpaint_pipeline as pipeline
+from prepare.inpaint.hole_patch import compare, cut_out, uncovered_psnr
+from prepare.segment.object_ids import identified, masks_of
+from prepare.train.capture_files import read_capture
+from prepare.train.photographs import load_photograph, load_photographs
+from prepare.train.seeds import first_gaussians
+from prepare.train.train_options import CAPS, TrainOptions
+from prepare.train.trainer import Trainer
 from scenes import registry
 from scenes.paper_demos import PaperDemo, paper_demos
 
@@ -92,8 +101,8 @@ def run(*, out: Path, capture: Path | None, quick: bool) -> None:
         ("shadow", lambda: shadow_section(effort, known, results)),
         ("twist", lambda: twist_section(bar, effort, results)),
         ("solvers", lambda: solver_section(bar, effort, results)),
-        ("inpainting", lambda: inpainting_section(capture, results, _told, quick=quick)),
-        ("demos", lambda: demo_section(effort, known, results, _told)),
+        ("inpainting", lambda: inpainting_section(capture, results, quick=quick)),
+        ("demos", lambda: demo_section(effort, known, results)),
     ]
     device = "a CUDA GPU" if running_arch() == "cuda" else "the CPU"
     how = f"{device}{', quickly, at small sizes' if quick else ''}"
@@ -258,13 +267,13 @@ def shadow_section(effort: Effort, known: dict[str, Played], results: dict) -> S
     )  # fmt: skip
 
 
-def demo_section(effort: Effort, known: dict[str, Played], results: dict, report: Callable[[str], None]) -> Section:
+def demo_section(effort: Effort, known: dict[str, Played], results: dict) -> Section:
     """A picture of each demo after its scripted player has played for a while."""
     demos = paper_demos(effort.demos)
     pictures, rows, results["demos"] = {}, [], {}
     for k, demo in enumerate(demos, 1):
         title = demo.name.replace("_", " ")
-        report(f"{title} ({k} of {len(demos)})")
+        _told(f"{title} ({k} of {len(demos)})")
         played = play(demo, effort, known)
         stats, pictures[title] = played.stats, played.picture
         counts = ("gaussians", "vertices", "tets", "iterations", "substeps", "integrator")
@@ -281,3 +290,95 @@ def demo_section(effort: Effort, known: dict[str, Played], results: dict, report
         Table(columns, rows),
         "python -m studio --detail paper makes the demos at the paper's sizes; vrgs.py bench demos measures them.",
     )
+
+
+WIDTH = 1100  # [px] of a picture of an inpainted object, at least
+STEPS, QUICK_STEPS = 1500, 400  # of training
+
+
+def inpainting_section(folder: Path | None, results: dict, *, quick: bool) -> Section:
+    """Objects of the modelled capture in a folder, before and after, beside the truth; quick: one. Without a folder a
+    note on how to make one (python -m studio --capture)."""
+    text = (
+        "Toys on a table, photographed by ray casting, so that it is known what stands behind each. A splat is trained "
+        "with their masks; an object's Gaussians are taken out; where no photograph shows what was behind them, a "
+        "patch of new Gaussians is made up, and all others stay as they are."
+    )
+    if folder is None:
+        results["inpainting"] = None
+        note = "Not made: it needs --capture, a capture whose truth is known (python -m studio --capture DIR)."
+        return Section("Inpainting", text, note=note)
+    steps = QUICK_STEPS if quick else STEPS
+    rows = measured_objects(folder, steps, objects=1 if quick else None)
+    refused = "".join(f" Not closed: {row['refused']}." for row in rows.values() if "refused" in row)
+    closed = {name: row for name, row in rows.items() if "refused" not in row}
+    pictures = {f"{name}: photograph, taken out, inpainted, truth": row.pop("picture") for name, row in closed.items()}
+    results["inpainting"] = {"steps": steps, "objects": rows}
+    table = [
+        (name, *(f"{row['psnr'][when]:.1f} dB" for when in ("before", "after")), f"{1e4 * row['area']:.0f} cm²")
+        for name, row in closed.items()
+    ]  # fmt: skip
+    return Section(
+        "Inpainting",
+        text,
+        pictures,
+        Table(("object", "PSNR, taken out", "PSNR, inpainted", "seen by no camera"), table),
+        f"{steps:,} steps of training. PSNR: against the scene without the object, over the pixels that it covered, in "
+        "all views. The object's shadow is taken away with it." + refused,
+    )
+
+
+def measured_objects(folder: Path, steps: int, objects: int | None) -> dict[str, dict]:
+    """Numbers and the picture of each object, or of the first few. Raises BadInput."""
+    if not (folder / "behind").is_dir():
+        raise BadInput(f"{folder}: shows nothing without its objects (make it: python -m studio --capture {folder})")
+    capture, photographs, gaussians = _trained(folder, steps)
+    found = {}
+    for number, name in enumerate(gaussians.objects[:objects], 1):
+        _told(f"without the {name}")
+        own = gaussians.object_id == number
+        cameras = [p.camera for p in photographs]
+        parts = gaussians.select(~own), {name: gaussians.select(own)}
+        try:
+            before, objects = pipeline.without_supports(*parts, cameras)
+            after, (hole,) = pipeline.inpaint(before, objects, cameras)
+        except BadInput as e:  # a small capture's splat is rough
+            _told(str(e))
+            found[name] = {"refused": str(e)}
+            continue
+        behind = [replace(v, image=folder / "behind" / name / v.image.name, mask=None) for v in capture.views]
+        truths = [load_photograph(v) for v in behind]
+        views = [v for v in compare(hole.views, hole.textures, before, after, truths) if v.covered.any()]
+        found[name] = {
+            "gaussians": int(own.sum()),
+            "new": len(hole.patch),
+            "area": hole.area,
+            "psnr": uncovered_psnr(views)["object"],
+            "picture": _strip(max(views, key=lambda v: int(v.hole.sum() or v.covered.sum())), photographs),
+        }
+    return found
+
+
+def _trained(folder: Path, steps: int) -> tuple:
+    """The capture, its photographs, and the Gaussians trained to them, with the ids of its objects."""
+    capture, masks = masks_of(read_capture(folder).upright(), folder / "masks", _told)
+    photographs = load_photographs(capture.views, 1, masks.ids)
+    options = TrainOptions(steps=steps, cap=CAPS["cpu"], degree=1)
+    start = first_gaussians(capture, photographs, degree=options.degree, cap=options.cap, seed=options.seed)
+    trainer = Trainer(photographs, start, capture.extent, options, masks.names)
+    while trainer.done < steps:
+        trainer.step()
+        if trainer.done % max(steps // 4, 1) == 0:
+            _told(f"training, step {trainer.done} of {steps}, PSNR {trainer.recent_loss().psnr:.1f} dB")
+    gaussians = identified(trainer)
+    trainer.destroy()
+    return capture, photographs, gaussians
+
+
+def _strip(view, photographs) -> np.ndarray:
+    """A view's photograph, and the pictures before, after and of the truth, side by side, (H, W, 3) uint8."""
+    parts = [cut_out(photographs[view.view.index], view.view), view.before, view.after, view.truth]
+    strip = np.concatenate(parts, axis=1)
+    times = WIDTH / strip.shape[1]
+    strip = cv2.resize(strip, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC) if times > 1 else strip
+    return (strip.clip(0.0, 1.0) * 255).round().astype(np.uint8)

@@ -14,7 +14,7 @@ import numpy as np
 import taichi as ti
 
 from assets.gaussians import Gaussians
-from core.camera import Camera
+from core.camera import Camera, look_at
 from core.morton import morton_order
 from core.rotation import multiply_quaternions
 from render.renderer import Renderer
@@ -90,18 +90,18 @@ def box_surface(rng, count: int, low: np.ndarray, size: np.ndarray) -> tuple[np.
 
 def eyes(width: int = 1800, height: int = 1920, *, turn: float = 0.0) -> list[Camera]:
     """Left and right camera of a viewer 1.6 m tall near a corner, EYE_DISTANCE apart; `turn` [rad] to the side."""
-    forward = np.array([np.cos(0.6 + turn), -0.15, np.sin(0.6 + turn)])
-    z = forward / np.linalg.norm(forward)
-    x = np.cross(z, [0.0, 1.0, 0.0])
-    x /= np.linalg.norm(x)
-    rotation = np.stack([x, np.cross(z, x), z])
+    eye = np.array([0.9, 1.6, 0.9])
+    view = look_at(eye, eye + [np.cos(0.6 + turn), -0.15, np.sin(0.6 + turn)])
+    return two_eyes(view, width, height, 0.5 * width)  # 90 degrees wide, like a headset
+
+
+def two_eyes(between: np.ndarray, width: int, height: int, focal: float) -> list[Camera]:
+    """Left and right camera, EYE_DISTANCE apart, that look the same way as a view (4, 4) between them."""
     cameras = []
-    for side in (-0.5, 0.5):
-        pose = np.eye(4)
-        pose[:3, :3] = rotation
-        pose[:3, 3] = -rotation @ (np.array([0.9, 1.6, 0.9]) + side * EYE_DISTANCE * x)
-        f = 0.5 * width  # 90 degrees wide, like a headset
-        cameras.append(Camera(width, height, f, f, 0.5 * width, 0.5 * height, pose))
+    for side in (0.5, -0.5):
+        view = between.copy()
+        view[0, 3] += side * EYE_DISTANCE
+        cameras.append(Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, view))
     return cameras
 
 

@@ -214,21 +214,6 @@ class Act:
     hands: Callable[[int, np.ndarray], list[Hand]] = lambda frame, ends: []
 
 
-def dropped(extent: np.ndarray, count: int) -> np.ndarray:
-    """Above the edge of the step."""
-    return np.array([[0.0, STEP_HEIGHT + DROP_HEIGHT, 0.0]])
-
-
-def thrown(extent: np.ndarray, count: int) -> np.ndarray:
-    """Close to the wall, above the floor."""
-    return np.array([[WALL - extent[0] / 2 - 10 * CLEARANCE, 0.3, 0.0]])
-
-
-def lying(extent: np.ndarray, count: int) -> np.ndarray:
-    """On the step."""
-    return np.array([[-0.6, STEP_HEIGHT + CLEARANCE, 0.0]])
-
-
 def piled(extent: np.ndarray, count: int) -> np.ndarray:
     """Two on one another, or more of them in layers; all a little askew, so that they do not balance."""
     nx, nz = LAYER if count > 2 else (1, 1)
@@ -248,10 +233,14 @@ def squeezing(frame: int, ends: np.ndarray) -> list[Hand]:
     return [Hand(tuple(p.tolist()), grip=1 <= frame < times[-1], reach=REACH) for p in places]
 
 
-ACTS = {
-    "drop": Act(75, dropped),
-    "throw": Act(45, thrown, velocity=(THROW_SPEED, 0.0, 0.0)),
-    "squeeze": Act(120, lying, hands=squeezing),
+ACTS = {  # above the edge of the step; close to the wall, above the floor; on the step; a pile
+    "drop": Act(75, lambda extent, count: np.array([[0.0, STEP_HEIGHT + DROP_HEIGHT, 0.0]])),
+    "throw": Act(
+        45,
+        lambda extent, count: np.array([[WALL - extent[0] / 2 - 10 * CLEARANCE, 0.3, 0.0]]),
+        velocity=(THROW_SPEED, 0.0, 0.0),
+    ),
+    "squeeze": Act(120, lambda extent, count: np.array([[-0.6, STEP_HEIGHT + CLEARANCE, 0.0]]), hands=squeezing),
     "stack": Act(90, piled),
 }
 

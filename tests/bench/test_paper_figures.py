@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bench import inpainting, paper_figures
+from bench import paper_figures
 from bench.bar_figures import TwistedBar, crossing_frequency
 from core.report import Section
 from vrgs import main
@@ -80,8 +80,8 @@ def test_an_object_that_cannot_be_inpainted_is_named(monkeypatch):
     picture = np.zeros((4, 16, 3), np.uint8)
     closed = {"psnr": {"before": 20.0, "after": 25.0}, "area": 0.01, "picture": picture}
     rows = {"duck": closed, "ball": {"refused": "ball: no camera sees it"}}
-    monkeypatch.setattr(inpainting, "_measured", lambda folder, steps, report, objects: rows)
-    section = inpainting.inpainting_section(Path(), {}, print, quick=False)
+    monkeypatch.setattr(paper_figures, "measured_objects", lambda folder, steps, objects: rows)
+    section = paper_figures.inpainting_section(Path(), {}, quick=False)
     assert len(section.pictures) == 1 and section.note.endswith("Not closed: ball: no camera sees it.")
     assert section.table.rows == [("duck", "20.0 dB", "25.0 dB", "100 cm²")]
 

@@ -25,6 +25,7 @@ from assets.quantisation import (
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
+from core.point_location import TetLocator
 from core.rotation import quaternions_from_matrices
 from core.tetmesh import enclosed_volume, tet_volumes, vertex_components
 
@@ -358,10 +359,6 @@ def _rehosted(asset: Asset, mine: np.ndarray, own: np.ndarray) -> tuple[np.ndarr
     row, corner = np.nonzero(~own[host])
     if len(row):
         position = np.einsum("nj,njc->nc", weights[row, corner], x[tets[host[row, corner]]])
-        first = np.argmax(own[host[row]], axis=1)
-        tet = host[row, first]
-        origin, *others = np.moveaxis(x[tets[tet]], 1, 0)
-        last = np.linalg.solve(np.stack(others, 2) - origin[..., None], (position - origin)[..., None])[..., 0]
-        host[row, corner] = tet
-        weights[row, corner] = np.concatenate([1 - last.sum(1, keepdims=True), last], 1)
+        tet = host[row, np.argmax(own[host[row]], axis=1)]
+        host[row, corner], weights[row, corner] = tet, TetLocator(x, tets).weights(tet, position)
     return host, weights

@@ -16,7 +16,8 @@ from assets.gaussians import SH_COUNTS, Gaussians
 from assets.hdf5 import Hdf5Reader, write_dataset
 from core.distance_grid import DistanceGrid
 from core.morton import morton_order
-from core.point_location import TetLocator
+from core.point_location import POINTS_AT_ONCE, TetLocator
+from core.program import batches
 from core.rotation import matrices_from_quaternions
 
 DISTANCE_STEPS = 64  # in a grid's spacing
@@ -95,7 +96,6 @@ FLOAT_BITS = 24  # of a float32's mantissa: a finer lattice would hold nothing m
 LOG_STEP, LOGIT_STEP, SH_STEP = 1 / 64, 1 / 32, 1 / 128
 QUAT_BITS = 10
 WEIGHT_TOLERANCE = 0.01  # weights that would come out farther from the asset's are stored as they are
-POINTS_AT_ONCE = 1 << 18  # a few tens of MB
 CORNERS = np.sqrt(3.0) * np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])  # around the unit sphere
 
 
@@ -173,8 +173,7 @@ def write_quantised_embedding(file: h5py.File, host: np.ndarray, weights: np.nda
     place[order] = np.arange(len(order))
     locator = TetLocator(cage.vertices, cage.tets)
     codes, exact = np.zeros((len(g), 3), np.int64), np.zeros(len(g), bool)
-    for begin in range(0, len(g), POINTS_AT_ONCE):
-        s = slice(begin, begin + POINTS_AT_ONCE)
+    for s in batches(len(g), POINTS_AT_ONCE):
         x = locator.vertices[locator.tets[host[s]]]
         corners = np.einsum("nkj,nkjc->nkc", weights[s].astype(np.float64), x)
         axes = matrices_from_quaternions(g.quats[s])
@@ -206,8 +205,7 @@ def read_quantised_embedding(file: Hdf5Reader, g: Gaussians, cage) -> tuple[np.n
     weights = np.empty((n, 4, 4), np.float32)
     with np.errstate(all="ignore"):  # tets of a volume that float64 barely holds: the caller refuses such weights
         locator = TetLocator(cage.vertices, cage.tets)
-    for begin in range(0, n, POINTS_AT_ONCE):
-        s = slice(begin, begin + POINTS_AT_ONCE)
+    for s in batches(n, POINTS_AT_ONCE):
         with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses weights that are not finite
             axes = matrices_from_quaternions(g.quats[s])
             weights[s] = _weights(locator, host[s], g.means[s], axes, codes[s] * (step / LOG_STEP))

@@ -120,14 +120,9 @@ def is_room_folder(path: str | Path) -> bool:
     return os.path.isfile(Path(path) / MANIFEST)
 
 
-def write_room(folder: Path, room: RoomManifest) -> None:
-    """Write the manifest of a room. Raises BadInput."""
-    write_manifest(folder / MANIFEST, room)
-
-
-def write_manifest(path: Path, room: RoomManifest) -> None:
-    """Write the manifest of a room to this file. Raises BadInput."""
-    write_json(path, {"format": FORMAT, "version": VERSION, **to_plain(room)})
+def write_room(folder: Path, room: RoomManifest, name: str = MANIFEST) -> None:
+    """Write the manifest of a room to this file of its folder. Raises BadInput."""
+    write_json(folder / name, {"format": FORMAT, "version": VERSION, **to_plain(room)})
 
 
 def read_room(folder: str | Path) -> RoomManifest:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from core.camera import directions_around
+from core.program import batches
+
 C0 = 0.28209479177387814
 C1 = 0.4886025119029199
 C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
@@ -52,23 +55,13 @@ def rotate_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     count = sh.shape[1]
     if count == 1:
         return sh.copy()
-    k = np.arange(64) + 0.5  # Fibonacci sphere
-    polar, azimuth = np.arccos(1 - 2 * k / 64), np.pi * (1 + 5**0.5) * k
-    d = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
-    if np.ndim(rotation) == 3:
-        return _rotate_each(sh, np.asarray(rotation, np.float64), d)
-    matrix = np.linalg.lstsq(sh_basis(d, count), sh_basis(d @ np.asarray(rotation, np.float64), count), rcond=None)[0]
-    by_channel = np.kron(matrix.T, np.eye(3))  # mostly zeros, yet one matrix product is fastest
-    return (sh.reshape(len(sh), -1) @ by_channel).astype(np.float32).reshape(sh.shape)
-
-
-def _rotate_each(sh: np.ndarray, rotations: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """`rotate_sh` of each by its own rotation, over the directions d (D, 3)."""
-    count, out = sh.shape[1], np.empty(sh.shape, np.float32)
+    d, rotation, out = directions_around(64), np.asarray(rotation, np.float64), np.empty(sh.shape, np.float32)
     inverse = np.linalg.pinv(sh_basis(d, count))
-    for begin in range(0, len(sh), 4096):  # 35 MB at once
-        some = slice(begin, begin + 4096)
-        turned = d @ rotations[some]  # R^T d of each, (n, D, 3)
+    if rotation.ndim == 2:
+        by_channel = np.kron((inverse @ sh_basis(d @ rotation, count)).T, np.eye(3))  # one product is fastest
+        return (sh.reshape(len(sh), -1) @ by_channel).astype(np.float32).reshape(sh.shape)
+    for some in batches(len(sh), 4096):  # 35 MB at once
+        turned = d @ rotation[some]  # R^T d of each, (n, D, 3)
         basis = sh_basis(turned.reshape(-1, 3), count).reshape(*turned.shape[:2], count)
         out[some] = inverse @ (basis @ sh[some])
     return out

@@ -120,7 +120,8 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     with open_input(path) as file:
         order, elements, comments = read_header(path, file)
         about = {"sort": next((sort for sort in SORTS if f"sort {sort}" in comments), "")}
-        about |= {"antialias": _is_antialiased(comments), "view": _view(comments)}
+        view = usable_view(next((c.split()[1:] for c in comments if c.startswith("view ")), []))
+        about |= {"antialias": _is_antialiased(comments), "view": view}
         vertex = next((e for e in elements if e.name == "vertex"), None)
         if vertex is None:
             raise BadInput(f"{path}: has no vertex element")
@@ -144,11 +145,6 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     if "object_id" in vertex.names:
         ids, objects = _object_ids(path, rows["object_id"], report), _object_names(comments)
     return replace(drawable_gaussians(path, *shape, report, object_id=ids, objects=objects), **about)
-
-
-def _view(comments: list[str]) -> tuple[float, ...]:
-    """The view of the comments of a header, () if there is none that can be used."""
-    return usable_view(next((c.split()[1:] for c in comments if c.startswith("view ")), []))
 
 
 def read_vertices(path: Path) -> np.ndarray:

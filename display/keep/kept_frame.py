@@ -12,7 +12,7 @@ import numpy as np
 from assets.asset import Asset, is_quantised
 from assets.file_access import atomic_write_all, locked_folder
 from assets.library import SHIPPED_FOLDER, find_asset
-from assets.room_folder import MANIFEST, is_room_folder, read_room, write_manifest
+from assets.room_folder import MANIFEST, is_room_folder, read_room, write_room
 from core.errors import BadInput
 from core.rotation import best_fit_rotation, matrices_from_quaternions
 from core.vocabulary import Body
@@ -85,7 +85,7 @@ def write_room_turned(path: Path, rotation: np.ndarray, factor: float = 1.0) -> 
         moved = room.transformed(rotation, np.array(changed.provenance["reoriented"][-1][2]))
         with atomic_write_all(path, path.parent / MANIFEST) as (background, manifest):
             changed.save(background, quantised=small)
-            write_manifest(manifest, moved)
+            write_room(manifest.parent, moved, manifest.name)
 
 
 def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:

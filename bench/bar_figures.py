@@ -18,9 +18,10 @@ from scipy.spatial import cKDTree
 from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.orientation import turned_about_up
-from bench.render_speed import box_surface, turns_to
+from bench.render_speed import box_surface
 from core.camera import look_at, perspective
 from core.material import Material
+from core.rotation import turns_to
 from core.spherical_harmonics import C0
 from core.tetmesh import tet_volumes
 from display.picture import pixels_of

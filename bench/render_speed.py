@@ -16,7 +16,7 @@ import taichi as ti
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at
 from core.morton import morton_order
-from core.rotation import multiply_quaternions
+from core.rotation import turns_to
 from render.renderer import Renderer
 from render.splats import Splats
 
@@ -43,14 +43,6 @@ def room(count: int) -> Gaussians:
     sh[:, 0] = 1.2 * pattern + rng.normal(0, 0.25, (count, 3))
     order = morton_order(points)
     return Gaussians.of(*(np.asarray(a, np.float32)[order] for a in (points, quats, log_scales, logits, sh)))
-
-
-def turns_to(normals: np.ndarray, half_angles: np.ndarray) -> np.ndarray:
-    """Quaternions wxyz that turn +z to normals (N, 3) of any length, after a turn about +z, (N, 4)."""
-    z = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    to = np.stack([1 + z[:, 2], -z[:, 1], z[:, 0], np.zeros(len(z))], 1)
-    to[z[:, 2] < -0.999] = [0, 1, 0, 0]
-    return multiply_quaternions(to, np.stack([np.cos(half_angles), *np.zeros((2, len(z))), np.sin(half_angles)], 1))
 
 
 def surfaces(count: int, rng) -> tuple[np.ndarray, np.ndarray]:

@@ -7,11 +7,12 @@ import h5py
 import numpy as np
 import pytest
 
-from assets.asset import Asset, Cage, CageEmbedding
+from assets.asset import Asset, Cage, CageEmbedding, split_components
 from assets.gaussians import ROWS
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
+from core.tetmesh import boundary_surface
 from tests.fuzz.hdf5_mutations import put as replace_dataset
 from tests.support import samples
 from tests.support.samples import some_gaussians
@@ -137,11 +138,7 @@ DEFECTS = {
     "is not three numbers": lambda f: f["sdf/values"].attrs.update(origin=np.zeros(2)),
     "origin is not three finite": lambda f: f["sdf/values"].attrs.update(origin=np.full(3, np.inf)),
     "missing attribute 'origin'": lambda f: f["sdf/values"].attrs.pop("origin"),
-    "young is not finite": lambda f: f["material"].attrs.update(young=np.nan),
-    "young and density must be positive": lambda f: f["material"].attrs.update(density=0.0),
     "poisson must lie": lambda f: f["material"].attrs.update(poisson=0.5),
-    "friction must not": lambda f: f["material"].attrs.update(friction=-0.1),
-    "kinetic_friction must lie": lambda f: f["material"].attrs.update(kinetic_friction=0.6),
 }
 
 
@@ -175,3 +172,20 @@ def test_files_that_are_no_assets(tmp_path):
     assert "empty" in refused(tmp_path / "a.h5")
     (tmp_path / "a.h5").write_bytes(b"garbage" * 100)
     assert "not a readable HDF5" in refused(tmp_path / "a.h5")
+
+
+def test_a_corner_in_another_component_comes_home():
+    """Two tets far apart; a Gaussian with one corner in the other one keeps its shape."""
+    tet = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    tets = np.arange(8, dtype=np.int32).reshape(2, 4)
+    cage = Cage(np.concatenate([tet, tet + [5, 0, 0]]).astype(np.float32), tets, boundary_surface(tets))
+    corners = np.array([[0.1, 0.1, 0.1], [0.4, 0.1, 0.1], [0.1, 0.4, 0.1], [0.1, 0.1, 0.4]])
+    host = np.array([[0, 0, 1, 0]], np.int32)
+    last = corners - 5.0 * host.T * [1, 0, 0]
+    weights = np.concatenate([1 - last.sum(1, keepdims=True), last], 1)[None].astype(np.float32)
+    first, second = split_components(Asset(some_gaussians(1), cage, CageEmbedding(host, weights)))
+    assert len(first.gaussians) == 1 and len(second.gaussians) == 0
+    first.check("first")
+    again = np.einsum("kj,kjc->kc", first.embedding.weights[0], first.cage.vertices[first.cage.tets[[0] * 4]])
+    np.testing.assert_allclose(again, corners, atol=1e-5)
+    assert split_components(first)[0] is first

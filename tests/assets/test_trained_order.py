@@ -47,15 +47,8 @@ def test_from_where_they_were_photographed_comes_back(tmp_path, name):
             assert read.view == (pytest.approx(view) if seen else ())
             assert gaussians_of(arrays_of(read))[0].view == read.view
             assert (read.sort == "radial") == (sort == "radial" or name == "a.glb")  # its own default
-    assert concatenate([some_gaussians(3), read, replace(read, view=(1, 2, 3, 0, 0, 0, 1))]).view == (
-        1,
-        2,
-        3,
-        0,
-        0,
-        0,
-        1,
-    )
+    view = (1, 2, 3, 0, 0, 0, 1)
+    assert concatenate([some_gaussians(3), read, replace(read, view=view)]).view == view
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.distance_grid import DistanceGrid
-from core.errors import BadInput
 
 NORMAL = np.array([0.6, 0.0, 0.8])
 
@@ -29,18 +28,3 @@ def test_beyond_the_grid_the_border_counts():
     out = np.array([[grid.upper[0] + 0.3, 0.1, grid.upper[2] + 0.4], [grid.origin[0] - 0.3, 0.1, -0.1]])
     border = out.clip(grid.origin, grid.upper)
     assert_allclose(grid.sample(out), border @ NORMAL, atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"values": np.zeros((3, 1, 5))}, "at least 2 nodes"),
-        ({"values": np.full((3, 4, 5), np.nan)}, "not finite"),
-        ({"origin": np.full(3, np.inf)}, "origin"),
-        ({"spacing": 0.0}, "spacing"),
-    ],
-)
-def test_a_grid_that_cannot_be_interpolated_is_refused(changes, says):
-    grid = plane_grid()
-    with pytest.raises(BadInput, match=f"here: .*{says}"):
-        DistanceGrid(**{"values": grid.values, "origin": grid.origin, "spacing": grid.spacing} | changes).check("here")

@@ -32,20 +32,15 @@ def moving_body() -> Asset:
     asset = embedded(n=60, exact=4)
     surface = np.unique(asset.cage.surface).astype(np.int32)
     count, frames = len(surface), 5
-    turns = np.stack(
-        [np.cos(np.linspace(0, 1, frames)), *(np.sin(np.linspace(0, 1, frames)) * k for k in (0, 0, 1))], 1
-    )
+    angle = np.linspace(0, 1, frames)
+    turns = np.stack([np.cos(angle), 0 * angle, 0 * angle, np.sin(angle)], 1)
     rest = (np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones((2, 3)))
     motion = (np.zeros((frames, 2, 3)), np.tile(turns[:, None], (1, 2, 1)), np.ones((frames, 2, 3)))
     joints = np.tile(np.array([0, 1, 0, 0], np.int32), (count, 1))
     weights = np.tile(np.array([0.75, 0.25, 0, 0], np.float32), (count, 1))
-    parents, inverse_bind, driven = (
-        np.array([-1, 0], np.int32),
-        np.tile(np.eye(4), (2, 1, 1)),
-        np.arange(count) % 2 == 0,
-    )
-    names = ["lower", "upper"]
-    animation = Animation(names, parents, inverse_bind, rest, motion, 30.0, surface, joints, weights, driven)
+    names, parents, driven = ["lower", "upper"], np.array([-1, 0], np.int32), np.arange(count) % 2 == 0
+    bind = np.tile(np.eye(4), (2, 1, 1))
+    animation = Animation(names, parents, bind, rest, motion, 30.0, surface, joints, weights, driven)
     return replace(
         asset,
         sdf=sphere_grid(7, 0.1),

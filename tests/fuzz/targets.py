@@ -104,17 +104,8 @@ def splat_samples(suffix: str) -> Callable[[Path], list[Files]]:
     return samples
 
 
-def unzipped_sog(folder: Path) -> list[Files]:
-    return [sog_files(some_gaussians(14, 1), version) for version in (1, 2)]
-
-
 def read_splat(path: Path) -> None:
     read_gaussians(path, silent).check(str(path))
-
-
-def inside_gzip_only(rng: np.random.Generator, files: Files) -> Files:
-    data = next(iter(files.values()))
-    return (inside_gzip if data[:2] == b"\x1f\x8b" else several(BYTES))(rng, files)
 
 
 def inside_sog(rng: np.random.Generator, files: Files) -> Files:
@@ -272,20 +263,21 @@ def capture_samples(folder: Path) -> list[Files]:
     return found
 
 
-def inside_capture(rng: np.random.Generator, files: Files) -> Files:
-    if "transforms.json" in files:
-        return files | {"transforms.json": mutated_json(rng, files["transforms.json"])}
+def inside_first(rng: np.random.Generator, files: Files) -> Files:
+    name = next(iter(files))
+    if name.endswith(".json"):
+        return files | {name: mutated_json(rng, files[name])}
     return several(BYTES + TEXT)(rng, files)
+
+
+def first_json(folder: Path) -> list[Mutation]:
+    return [inside_first]
 
 
 def read_whole_capture(path: Path) -> None:
     capture = read_capture(path if path.suffix == ".json" else path.parents[2])
     load_photograph(capture.views[0])
     assert np.isfinite([*capture.middle, capture.extent, *capture.up, *capture.upright().points.ravel()]).all()
-
-
-def network_samples(folder: Path) -> list[Files]:
-    return samples("lama.onnx", write_lama)(folder)
 
 
 def read_network(path: Path) -> None:
@@ -301,16 +293,8 @@ def room_samples(folder: Path) -> list[Files]:
     return [{"room.json": json.dumps(room).encode(), "room.h5": b"1", "objects/toy.h5": b"1"}]
 
 
-def read_room_manifest(path: Path) -> None:
-    read_room(path.parent).transformed(np.eye(3), np.ones(3))
-
-
-def first_json(rng: np.random.Generator, files: Files) -> Files:
-    name = next(iter(files))
-    return files | {name: mutated_json(rng, files[name])}
-
-
 MARKED = {"bear": {"v": {"inside": [[[1, 2.5], [3, 4]]], "outside": [[[5, 6]]], "boxes": [[1, 1, 5, 5.5]]}}}
+MARKS = {"views": {"v": CAMERA}, "objects": MARKED, "grow": {"bear": 1}}
 
 
 def read_marks_file(path: Path) -> None:
@@ -352,10 +336,7 @@ def with_variable_texts(path: Path) -> None:
                     node.attrs[key] = value.decode()
 
 
-asset_samples = samples(
-    "asset.h5", *(lambda path, m=m, q=q: m().save(path, quantised=q) for m in (moving_body, some_stage) for q in (0, 1))
-)
-old_asset_samples = samples("asset.h5", with_variable_texts)
+ASSETS = [lambda path, m=m, q=q: m().save(path, quantised=q) for m in (moving_body, some_stage) for q in (0, 1)]
 
 
 def read_asset(path: Path) -> None:
@@ -379,11 +360,6 @@ def interrupted(path: Path) -> None:
     recording.path.unlink()
 
 
-recording_samples = samples("play.h5", record_some)
-old_recording_samples = samples("play.h5", lambda path: (record_some(path), as_version_3(path)))
-journal_samples = samples("play.h5.part", interrupted)
-
-
 def read_recording(path: Path) -> None:
     """Load a recording, and take over its options."""
     replay = Replay.load(path)
@@ -391,18 +367,13 @@ def read_recording(path: Path) -> None:
     replay.world_options({})
 
 
-study_samples = samples(
-    "study.h5", lambda path: write_study(path, some_study()), lambda path: write_study(path, Study())
-)
+STUDIES = [lambda path: write_study(path, some_study()), lambda path: write_study(path, Study())]
 
 
 def read_and_compare_study(path: Path) -> None:
     study = read_study(path)
     overview(study)
     list(table(compare_study(study)))
-
-
-state_samples = samples("scene.state.h5", lambda path: write_state(path, some_state()))
 
 
 def read_saved_state(path: Path) -> None:
@@ -421,7 +392,8 @@ def training_state() -> dict[str, np.ndarray]:
     return state | {"queue": np.arange(3, dtype=np.int32), "rng": np.arange(4, dtype=np.uint64)}
 
 
-training_samples = samples("training.h5", lambda path: write_checkpoint(path, training_state(), {"degree": 1}))
+def write_training(path: Path) -> None:
+    write_checkpoint(path, training_state(), {"degree": 1})
 
 
 def read_training(path: Path) -> None:
@@ -432,9 +404,6 @@ def write_step(path: Path) -> None:
     """A kept step of a preparation."""
     with open(path, "wb") as file:
         np.savez(file, **arrays_of(some_gaussians(20, 1), up="+y", counts={"read": 20}))
-
-
-step_samples = samples("step.npz", write_step)
 
 
 def read_step(path: Path) -> None:
@@ -491,10 +460,6 @@ def write(folder: Path, files: Files) -> None:
         (folder / name).write_bytes(data)
 
 
-def read_answers(path: Path) -> None:
-    read_answers_file(path, "now")
-
-
 def in_hdf5(folder: Path) -> list[Mutation]:
     return [inside_hdf5(folder)]
 
@@ -509,36 +474,42 @@ TARGETS = {
         Target("ply", splat_samples(".ply"), read_splat),
         Target("splat", splat_samples(".splat"), read_splat),
         Target("ksplat", splat_samples(".ksplat"), read_splat),
-        Target("spz", splat_samples(".spz"), read_splat, lambda folder: [inside_gzip_only]),
+        Target("spz", splat_samples(".spz"), read_splat, lambda folder: [inside_gzip]),
         Target("sog", splat_samples(".sog"), read_splat, lambda folder: [inside_zip(inside_sog)]),
-        Target("meta.json", unzipped_sog, read_splat, lambda folder: [inside_sog]),
-        Target("asset", asset_samples, read_asset, in_hdf5),
-        Target("old asset", old_asset_samples, read_asset, in_hdf5),
-        Target("recording", recording_samples, read_recording, in_hdf5),
-        Target("old recording", old_recording_samples, read_recording, in_hdf5),
-        Target("journal", journal_samples, read_recording, lambda folder: BYTES + TEXT),
-        Target("study", study_samples, read_and_compare_study, in_hdf5),
+        Target(
+            "meta.json",
+            lambda _: [sog_files(some_gaussians(14, 1), k) for k in (1, 2)],
+            read_splat,
+            lambda folder: [inside_sog],
+        ),
+        Target("asset", samples("asset.h5", *ASSETS), read_asset, in_hdf5),
+        Target("old asset", samples("asset.h5", with_variable_texts), read_asset, in_hdf5),
+        Target("recording", samples("play.h5", record_some), read_recording, in_hdf5),
+        Target(
+            "old recording", samples("play.h5", lambda p: (record_some(p), as_version_3(p))), read_recording, in_hdf5
+        ),
+        Target("journal", samples("play.h5.part", interrupted), read_recording, lambda folder: BYTES + TEXT),
+        Target("study", samples("study.h5", *STUDIES), read_and_compare_study, in_hdf5),
         Target("camera", json_samples("cam.json", CAMERA, [CAMERA, CAMERA]), read_cameras, in_json),
-        Target("answers", json_samples("answers.json", ANSWERS), read_answers, in_json),
+        Target("answers", json_samples("answers.json", ANSWERS), lambda path: read_answers_file(path, "now"), in_json),
         Target("landmarks", json_samples("l.json", LANDMARKS), read_landmarks, in_json),
-        Target("state", state_samples, read_saved_state, in_hdf5),
+        Target(
+            "state", samples("scene.state.h5", lambda path: write_state(path, some_state())), read_saved_state, in_hdf5
+        ),
         Target("preferences", json_samples("p.json", PREFERENCES, {}), read_preferences, in_json),
         Target("message", json_samples("m.json", *MESSAGES), read_page_message, in_json),
         Target("glb", glb_samples, read_skinned_glb, lambda folder: [inside_glb]),
         Target("splat glb", splat_glb_samples, read_splat, lambda folder: [inside_glb]),
         Target("mesh", mesh_samples, read_mesh_file, lambda folder: BYTES + TEXT),
-        Target("capture", capture_samples, read_whole_capture, lambda folder: [inside_capture]),
-        Target("training", training_samples, read_training, in_hdf5),
+        Target("capture", capture_samples, read_whole_capture, first_json),
+        Target("training", samples("training.h5", write_training), read_training, in_hdf5),
         Target("image", image_samples, read_image),
-        Target("network", network_samples, read_network, lambda folder: [one_file(change_byte)]),
-        Target("room", room_samples, read_room_manifest, lambda folder: [first_json]),
+        Target("network", samples("lama.onnx", write_lama), read_network, lambda folder: [one_file(change_byte)]),
         Target(
-            "marks",
-            json_samples("marks.json", {"views": {"v": CAMERA}, "objects": MARKED, "grow": {"bear": 1}}),
-            read_marks_file,
-            in_json,
+            "room", room_samples, lambda path: read_room(path.parent).transformed(np.eye(3), np.ones(3)), first_json
         ),
-        Target("masks", masks_samples, read_mask_folder, lambda folder: [first_json]),
-        Target("checkpoint", step_samples, read_step, lambda folder: [inside_zip(several(BYTES))]),
+        Target("marks", json_samples("marks.json", MARKS), read_marks_file, in_json),
+        Target("masks", masks_samples, read_mask_folder, first_json),
+        Target("checkpoint", samples("step.npz", write_step), read_step, lambda folder: [inside_zip(several(BYTES))]),
     )
 }

@@ -15,6 +15,7 @@ from assets.environment import Environment
 from assets.gaussians import normals_and_areas
 from assets.orientation import find_gravity, guess_up_axis
 from assets.splat_files import read_gaussians, write_gaussians
+from core.camera import directions_around
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import EnvironmentOptions, prepare_environment
 from prepare.environment.surfels import Surfels, surfels
@@ -34,7 +35,7 @@ from tests.support.sample_scenes import (
     room_distance,
     table_and_jug,
 )
-from tests.support.shells import ball, fibonacci_sphere
+from tests.support.shells import ball
 
 RIGHT = 0.99  # of all places must have the right sign
 SHELL = 4  # voxels under the surface beyond which a grid says nothing (sim/contact/static_shapes.py)
@@ -244,7 +245,7 @@ def test_up_is_found_and_refined(up, turn):
 
 def test_the_winding_number_by_ffts_is_the_sum():
     """Against the sum over all dipoles, in float64; in a ball it is 1, outside 0, on it the mean."""
-    n = fibonacci_sphere(3000)
+    n = directions_around(3000)
     s = Surfels(0.5 * n + 0.02, n, np.full(3000, np.pi / 3000), np.zeros((3000, 3), int))
     shape, spacing, origin = (34, 33, 32), 0.05, np.array([-0.8, -0.8, -0.8])
     w = winding_number(s, origin, spacing, shape).values
@@ -262,7 +263,7 @@ def test_the_winding_number_by_ffts_is_the_sum():
 def test_the_planes_nearby_are_summed_as_in_float64(ti_cpu):
     """The kernel against a loop over all nodes."""
     rng = np.random.default_rng(3)
-    p, n = rng.uniform(-0.5, 7.5, (40, 3)), fibonacci_sphere(40)
+    p, n = rng.uniform(-0.5, 7.5, (40, 3)), directions_around(40)
     s = Surfels(p, n, np.ones(40), np.zeros((40, 3), int))
     value = rng.normal(size=40)
     phi, mean, weight = blended_planes(s, value, np.zeros(3), 1.0, (7, 6, 8))

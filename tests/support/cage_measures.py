@@ -11,6 +11,7 @@ from core.tetmesh import face_components, tet_volumes
 from prepare.cage.cage_generation import cage_of
 from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices
 from prepare.pipeline import Options, prepare
+from tests.support.distance_shapes import box
 
 ANGLE = 12.0  # [degrees] least dihedral angle
 RADIUS, LENGTH, WIDTH, THICK = 0.08, 0.11, 0.06, 0.008  # [m]
@@ -45,8 +46,7 @@ def ball_with_ear(spacing: float, thick: float = THICK) -> np.ndarray:
     p = low + spacing * np.stack(np.meshgrid(*map(np.arange, n), indexing="ij"), -1)
     ball = np.linalg.norm(p, axis=-1) - RADIUS
     half = np.array([WIDTH, RADIUS + LENGTH, thick]) / 2
-    q = np.abs(p - [0, half[1], 0]) - half
-    ear = np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
+    ear = box(p - [0, half[1], 0], half)
     return (np.minimum(ball, ear) / spacing).astype(np.float32)
 
 

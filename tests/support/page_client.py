@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 
-PATIENCE = 60.0  # [s]
+from tests.support.waiting import PATIENCE
 
 
 def socket_address(url: str) -> str:

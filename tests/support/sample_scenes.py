@@ -3,7 +3,8 @@
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
-from core.rotation import multiply_quaternions
+from core.rotation import turns_to
+from tests.support.distance_shapes import box
 
 TABLE = ((-0.7, 0.70, -0.4), (0.7, 0.74, 0.4))  # low and high corner [m]
 JUG = ((0.3, 0.74, 0.1), (0.4, 0.94, 0.2))
@@ -30,13 +31,7 @@ def sheet(rng, origin, u, v, step: float, noise: float) -> Gaussians:
 def flat(rng, points, normals, step: float, noise: float) -> Gaussians:
     """Discs at points (N, 3), their axes within a few degrees of the normals (N, 3)."""
     k = len(points)
-    z = normals + rng.normal(0, 0.08, (k, 3))
-    z /= np.linalg.norm(z, axis=1, keepdims=True)
-    to = np.stack([1 + z[:, 2], -z[:, 1], z[:, 0], np.zeros(k)], 1)  # the turn of +z to the normal
-    to[z[:, 2] < -0.999] = [0, 1, 0, 0]
-    half = rng.uniform(0, np.pi, k)
-    to /= np.linalg.norm(to, axis=1, keepdims=True)
-    quats = multiply_quaternions(to, np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], 1))
+    quats = turns_to(normals + rng.normal(0, 0.08, (k, 3)), rng.uniform(0, np.pi, k))
     scales = step * np.stack([rng.uniform(0.4, 0.9, k), rng.uniform(0.4, 0.9, k), rng.uniform(0.03, 0.2, k)], 1)
     logits = np.where(rng.random(k) < 0.8, rng.normal(3.0, 1.0, k), rng.normal(0.0, 1.0, k))
     colours = 0.3 * np.sin(3 * points)[:, None]
@@ -128,11 +123,10 @@ def garden(seed: int = 1, *, noise: float = 0.008) -> Gaussians:
     ])  # fmt: skip
 
 
-def box_distance(points, box) -> np.ndarray:
+def box_distance(points, corners) -> np.ndarray:
     """Signed distance [m] of points (N, 3) to a box (low, high)."""
-    low, high = np.asarray(box, float)
-    q = np.abs(points - (low + high) / 2) - (high - low) / 2
-    return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(1), 0)
+    low, high = np.asarray(corners, float)
+    return box(points - (low + high) / 2, (high - low) / 2)
 
 
 def room_distance(points) -> np.ndarray:

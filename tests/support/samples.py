@@ -8,7 +8,8 @@ import pytest
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
-from core.spherical_harmonics import C0
+from core.rotation import matrices_from_quaternions
+from core.spherical_harmonics import C0, sh_basis
 from core.tetmesh import box_mesh
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
@@ -45,6 +46,18 @@ def discs(points, scales=0.02, colors=0.5) -> Gaussians:
     quats, log_scales = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.log(np.broadcast_to(scales, (n, 3)))
     sh = (np.broadcast_to(colors, (n, 3))[:, None] - 0.5) / C0
     return Gaussians.of(points, quats, log_scales, np.full(n, 4.0), sh)
+
+
+def assert_is_image(read: Gaussians, g: Gaussians, A: np.ndarray, turn: np.ndarray, shift=(0.0, 0.0, 0.0)) -> None:
+    """The Gaussians g after x -> A x + shift: means, covariances, and colours along directions that `turn` turns."""
+    np.testing.assert_allclose(read.means, g.means @ A.T + shift, rtol=1e-4, atol=1e-5)
+    axes = A @ matrices_from_quaternions(g.quats) * np.exp(g.log_scales.astype(np.float64))[:, None]
+    sigma = (axes @ axes.transpose(0, 2, 1))[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    np.testing.assert_allclose(read.covariances, sigma, rtol=1e-3, atol=1e-5 * sigma.max())
+    directions = np.random.default_rng(1).normal(size=(7, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    seen = np.einsum("dk,nkc->ndc", sh_basis(directions @ turn.T), read.sh)
+    np.testing.assert_allclose(seen, np.einsum("dk,nkc->ndc", sh_basis(directions), g.sh), atol=1e-4)
 
 
 def riff(kind: bytes, body: bytes) -> bytes:

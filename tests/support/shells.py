@@ -3,6 +3,8 @@
 import numpy as np
 
 from assets.gaussians import Gaussians
+from core.camera import directions_around
+from core.rotation import turns_to
 from core.spherical_harmonics import C0
 
 
@@ -12,27 +14,16 @@ def shell(points, normals, *, sigma, opacity=0.9, colour=0.5) -> Gaussians:
     sigma, opacity and colour (grey) may be one number or (N,).
     """
     n = len(points)
-    # The shortest turn of z to the normal n: (1 + n_z, z x n).
-    quats = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(n)], 1)
-    quats[normals[:, 2] < -0.999] = [0, 1, 0, 0]
     sigma = np.broadcast_to(sigma, n)
     scales = np.log(np.stack([sigma, sigma, 0.1 * sigma], 1))
     opacity = np.broadcast_to(opacity, n)
     sh = np.repeat((np.broadcast_to(colour, n)[:, None, None] - 0.5) / C0, 3, 2)
-    return Gaussians.of(points, quats, scales, np.log(opacity / (1 - opacity)), sh)
-
-
-def fibonacci_sphere(n: int) -> np.ndarray:
-    """Unit vectors, evenly spread, (n, 3)."""
-    k = np.arange(n) + 0.5
-    y, turn = 1 - 2 * k / n, np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - y * y)
-    return np.stack([r * np.cos(turn), y, r * np.sin(turn)], 1)
+    return Gaussians.of(points, turns_to(normals, np.zeros(n)), scales, np.log(opacity / (1 - opacity)), sh)
 
 
 def ball(n=3000, *, radius=1.0, open_below=-0.75, **options) -> Gaussians:
     """A ball of which nobody photographed the underside: nothing lies below y = open_below radius."""
-    normals = fibonacci_sphere(n)
+    normals = directions_around(n)
     normals = normals[normals[:, 1] > open_below]
     return shell(radius * normals, normals, sigma=2.5 * radius / n**0.5, **options)
 
@@ -49,7 +40,7 @@ def ring(n=4000, *, major=1.0, minor=0.25, **options) -> Gaussians:
 
 def toy(n=3000) -> Gaussians:
     """A drop standing on its blunt end, +y up: below, Gaussians are large, dark and opaque, as in captures."""
-    d = fibonacci_sphere(n)
+    d = directions_around(n)
     points = d * np.array([0.8, 1.0, 0.8])
     points[:, 1] = np.maximum(points[:, 1], -0.6)
     underside = d[:, 1] < -0.6

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from display.keep.state_file import SceneState
     from display.preferences import Preferences
     from display.protocol import Display
-    from display.record.replay import Replay
+    from display.record.recording import Replay
     from scenes.scene import Scene
 
 EARLIER_TOYS = ("ring_red", "ball", "toy_duck")  # in the sandbox: the first in recordings up to version 4, all in 5
@@ -116,7 +116,7 @@ def open_replay(options: PlayOptions) -> Replay | None:
         return None
     if options.xr:
         raise BadInput("--replay plays in a window or with --headless: leave out --xr")
-    from display.record.replay import Replay
+    from display.record.recording import Replay
 
     replay = Replay.load(options.replay)
     if replay.version < 6:

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from display.headless.video import FilmWriter
     from display.keep.keeper import Keeper
     from display.preferences import Preferences
-    from display.record.recording import Recording
-    from display.record.replay import Replay
+    from display.record.recording import Recording, Replay
     from display.sound import Sound
     from display.study.study_file import StudyLog
     from display.world import World, WorldSnapshot

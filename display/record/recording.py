@@ -19,7 +19,7 @@ from core.material import ANIMATED_MATERIAL
 from core.runtime import running_arch
 from core.typed import field_types
 from core.vocabulary import Hand
-from display.protocol import Frame
+from display.protocol import Closing, Frame
 from display.record import recording_file
 from display.record.recording_file import DATASETS, OPTIONS, Journal, WorldOptions
 from display.user_commands import Command, Pause, commands_from_text, commands_to_text, last_of
@@ -27,7 +27,7 @@ from display.user_commands import Command, Pause, commands_from_text, commands_t
 WRITE_PERIOD = 1.0  # [s] between two states, and between two blocks of the journal
 
 
-class Recording:
+class Recording(Closing):
     """A recording in progress: `note` each frame before the world's step, `after` behind it, then `close`.
 
     Raises BadInput if the file cannot be written. If that happens later, a line says so, the play goes on, and what was
@@ -54,12 +54,6 @@ class Recording:
             raise BadInput(f"{self.part} {why}") from e
         except OSError as e:
             raise BadInput(f"{self.path}: cannot be written ({reason_of(e)})") from e
-
-    def __enter__(self) -> Recording:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
 
     def begin(self, args, world_options: dict) -> None:
         """Store the options of the command and of the world."""

@@ -22,7 +22,7 @@ from assets.file_access import atomic_write, check_writable, locked
 from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, runs, write_dataset, write_text
 from core.errors import BadInput
 from core.typed import Size, from_json, to_json
-from display.protocol import Frame, WorldView
+from display.protocol import Closing, Frame, WorldView
 from display.study.trial import MIXED, QUESTIONS, SCALE, SETTINGS, TEXT_MAX, Answers, Trial, TrialMeter
 from display.user_commands import PlayDemo, Reset, last_of
 
@@ -142,7 +142,7 @@ def add_to_study(path: str | Path, change: Callable[[Study], None]) -> Study:
     return study
 
 
-class StudyLog:
+class StudyLog(Closing):
     """`after` each frame, `close` at the end: each trial is written once it ends.
 
     A trial begins with the play and with each reset. It ends when the score has reached the game's goal, and otherwise
@@ -158,12 +158,6 @@ class StudyLog:
         self._new = {"participant": participant, "task": task, "device": device, "about": about}
         self._meter: TrialMeter | None = None
         self._writer, self._begun = ThreadPoolExecutor(1), False
-
-    def __enter__(self) -> StudyLog:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
 
     def after(self, frame: Frame, world: WorldView) -> None:
         """Take account of a frame, after the world's step."""

@@ -79,7 +79,7 @@ class Simulation:
             bodies = [body] if isinstance(body, str) else body
             options.scene, options.body, options.stage = scene, bodies and list(map(str, bodies)), stage
             options.material, options.options = material, others
-            options.driven = load_scene(options, None)
+            options.driven = load_scene(options)
         with ExitStack() as stack:
             self._session = stack.enter_context(open_session(options))
             self._world, self._frames = self._session.world, self._session.frames()

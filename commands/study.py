@@ -41,7 +41,7 @@ class StudyOptions(cli.Options):
 def study(options: StudyOptions) -> None:
     """Ask, add answers, or print the comparison. Raises BadInput."""
     if options.form:
-        from display.study.questionnaire import form_page
+        from display.study.trial import form_page
 
         with atomic_write(options.form) as beside:
             beside.write_text(form_page(), encoding="utf-8")
@@ -55,8 +55,8 @@ def study(options: StudyOptions) -> None:
 
 def add_answers(options: StudyOptions) -> None:
     """Add answers from the terminal or from files to the study."""
-    from display.study.questionnaire import ask, read_answers_file
     from display.study.study_file import add_to_study, read_study
+    from display.study.trial import ask, read_answers_file
 
     if len(options.files) > 1:
         raise BadInput("answers are added to a single file")
@@ -74,8 +74,7 @@ def add_answers(options: StudyOptions) -> None:
 
 def show(options: StudyOptions) -> None:
     """Print the comparison; write the participants' means."""
-    from display.study.comparison import compare_study, overview, table, write_csv
-    from display.study.study_file import Study, read_study
+    from display.study.study_file import Study, compare_study, overview, read_study, table, write_csv
 
     studies = [read_study(file) for file in options.files]
     study = Study([t for s in studies for t in s.trials], [a for s in studies for a in s.answers])

@@ -150,8 +150,21 @@ class WorldView(Protocol):
         ...
 
 
-class Display(Protocol):
-    """A window, a headset, or no screen: makes frames for a world and shows it. Used in a `with`, which closes it."""
+class Closing(Protocol):
+    """Base of what is used in a `with`, which closes it."""
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error) -> None:
+        self.close()
+
+
+class Display(Closing, Protocol):
+    """A window, a headset, or no screen: makes frames for a world and shows it. `close` gives the screen back; further
+    calls do nothing."""
 
     size: tuple[int, int]  # (width, height) of one view's picture [px] that suits the display now
 
@@ -172,15 +185,6 @@ class Display(Protocol):
     def present(self, world: WorldView) -> None:
         """Show the world's picture after its step."""
         ...
-
-    def close(self) -> None:
-        """Give the screen back. Further calls do nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
 
 
 class Notice:

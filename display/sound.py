@@ -26,7 +26,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import BodyState
 from display.preferences import Preferences
-from display.protocol import Frame
+from display.protocol import Closing, Frame
 from display.user_commands import SetSound, last_of
 
 RATE = 48_000  # [1/s] samples
@@ -228,8 +228,8 @@ NEAREST = 0.3  # [m]: nothing is louder because it is nearer
 PAN = 0.8  # of a sound straight from the side, which the other ear hears too
 
 
-class Sound:
-    """Listens to a world `after` each frame of a play. Use it in a `with`, which finishes the sound of the film.
+class Sound(Closing):
+    """Listens to a world `after` each frame of a play.
 
     film        that gets a sound track; None: there is no film
     heard       whether to open the loudspeakers, in a thread of its own: it takes some tenths of a second
@@ -248,10 +248,8 @@ class Sound:
         if self._opening is not None:
             self._opening.start()
 
-    def __enter__(self) -> Sound:
-        return self
-
-    def __exit__(self, *error) -> None:
+    def close(self) -> None:
+        """Stop playing, and finish the sound of the film."""
         if self._opening is not None:
             self._opening.join()
         if self._device is not None:

@@ -227,7 +227,7 @@ class SetSound(Command):
 
 
 class OpeningCommand(Command):
-    """A command that the session carries out (commands/play_session.py), not the world."""
+    """A command that the session carries out (commands/play.py), not the world."""
 
 
 class OpenScene(OpeningCommand):

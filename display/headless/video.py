@@ -17,7 +17,7 @@ from assets.file_access import check_space, check_writable, part_beside, remove_
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from display.picture import pixels_of, side_by_side
-from display.protocol import Display, Frame, WorldView
+from display.protocol import Closing, Display, Frame, WorldView
 from display.timing import ProgressLine
 from display.user_commands import SetInteraction
 from scenes.scene import Scene
@@ -153,7 +153,7 @@ class Video:
             raise BadInput(f"{self.path}: only {readable} of {self.count} pictures could be written (disk full?)")
 
 
-class FilmWriter:
+class FilmWriter(Closing):
     """Film of a display of any frame rate and size: an MP4 at FILM_FPS, complete after `close`. Raises BadInput.
 
     width, height  of a view [px];   views  that stand side by side
@@ -194,12 +194,6 @@ class FilmWriter:
 
     def close(self) -> None:
         """Finish the film."""
-        self._video.close()
-
-    def __enter__(self) -> FilmWriter:
-        return self
-
-    def __exit__(self, *_) -> None:
         self._video.close()
 
 

@@ -18,10 +18,10 @@ from display import user_commands as cmd
 from display.headless.video import FilmWriter
 from display.picture import output_path, pixels_of, save_picture
 from display.preferences import PathText, Preferences
-from display.protocol import Frame
+from display.protocol import Closing, Frame
 
 
-class Keeper:
+class Keeper(Closing):
     """Carries out the commands of a frame that write files, `after` the frame; a thread writes one after the other.
 
     `scene` names the files; `about()` gives the options of the scene for a state. A notice and a line on stderr tell
@@ -35,12 +35,6 @@ class Keeper:
         self._film_begin = 0.0  # [s]
         self._writer, self._tasks = ThreadPoolExecutor(1), []
         self._named: set[Path] = set()
-
-    def __enter__(self) -> Keeper:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
 
     def after(self, frame: Frame, world) -> None:
         """Carry out the frame's commands, and film the frame."""

@@ -1,29 +1,33 @@
-"""Recording of the user's input, frame by frame, in a file that replays exactly (display/record/replay.py)."""
+"""Recording of the user's input, frame by frame, and its replay, with the deviation from the recorded state."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from assets.file_access import check_writable, reason_of
-from core.camera import Camera
+from assets.library import animated_height
+from core.camera import Camera, fitted
 from core.errors import BadInput
+from core.material import ANIMATED_MATERIAL
 from core.runtime import running_arch
+from core.typed import field_types
 from core.vocabulary import Hand
-from display.protocol import Frame
-from display.record.recording_file import DATASETS, OPTIONS, Journal, is_locked, write_recording
-from display.user_commands import Command, commands_from_text, commands_to_text
+from display.protocol import Closing, Frame
+from display.record import recording_file
+from display.record.recording_file import DATASETS, OPTIONS, Journal, WorldOptions
+from display.user_commands import Command, Pause, commands_from_text, commands_to_text, last_of
 
 WRITE_PERIOD = 1.0  # [s] between two states, and between two blocks of the journal
 
 
-class Recording:
+class Recording(Closing):
     """A recording in progress: `note` each frame before the world's step, `after` behind it, then `close`.
 
     Raises BadInput if the file cannot be written. If that happens later, a line says so, the play goes on, and what was
@@ -46,16 +50,10 @@ class Recording:
             self._journal: Journal | None = Journal(self.part)
         except FileExistsError as e:
             why = "was left by an interrupted session: play it with --replay, or remove it"
-            why = "is being written by another session" if is_locked(self.part) else why
+            why = "is being written by another session" if recording_file.is_locked(self.part) else why
             raise BadInput(f"{self.part} {why}") from e
         except OSError as e:
             raise BadInput(f"{self.path}: cannot be written ({reason_of(e)})") from e
-
-    def __enter__(self) -> Recording:
-        return self
-
-    def __exit__(self, *error) -> None:
-        self.close()
 
     def begin(self, args, world_options: dict) -> None:
         """Store the options of the command and of the world."""
@@ -81,7 +79,7 @@ class Recording:
         if not callable(frame.cameras):
             self._record_cameras(frame.cameras)
             return frame
-        return dataclasses.replace(frame, cameras=lambda: self._record_cameras(frame.cameras()))
+        return replace(frame, cameras=lambda: self._record_cameras(frame.cameras()))
 
     def _record_commands(self, commands: Sequence[Command]) -> None:
         line = commands_to_text(self.frames, commands)
@@ -137,7 +135,7 @@ class Recording:
         self._journal = None
         try:
             if self._blocks:
-                write_recording(self.path, self.part)
+                recording_file.write_recording(self.path, self.part)
             self.part.unlink()
         except BadInput as e:
             print(f"{e}; all that was recorded is in {self.part}, and --replay plays it", file=sys.stderr)
@@ -180,3 +178,93 @@ def plain(value):
     if isinstance(value, list):
         return [plain(v) for v in value]
     return value if value is None or isinstance(value, (bool, int, float)) else str(value)
+
+
+class Replay:
+    """A recording: its attribute `about`, its frames, the states to compare with. `Replay.load` checks all."""
+
+    def __init__(self, path: Path, version: int, about: dict, frames: list[Frame], states: dict[int, np.ndarray]):
+        self.path, self.version, self.about = path, version, about
+        self.recorded, self.states = frames, states
+        self.done, self.largest, self.compared = 0, 0.0, 0
+        self._cameras: list[Camera] = []  # of the last frame that had some
+
+    def __len__(self) -> int:
+        return len(self.recorded)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Replay:
+        """Read and check a recording, also an incomplete one."""
+        path = Path(path)
+        with recording_file.open_recording(path) as file:
+            version = file.check_format(recording_file.FORMAT, "a recording", recording_file.VERSION)
+            about = recording_file.checked_about(file.text("", "about"), str(path))
+            frames = recording_file.read_frames(file)
+            return cls(path, version, about, frames, recording_file.read_states(file, len(frames)))
+
+    def world_options(self, options: dict) -> dict:
+        """Options of a World: the recorded ones, and these for the rest; depth is for headsets."""
+        recorded = self.about.get("world", {})
+        return options | {key: recorded[key] for key in field_types(WorldOptions) if key in recorded}
+
+    def implied_material(self, scene: str, body: str | None) -> str | None:
+        """The material of a body for which none was asked: before version 2 that was not the asset's own."""
+        if self.version > 1 or scene != "sandbox":
+            return None
+        return "plush" if body is None or animated_height(body) is None else ANIMATED_MATERIAL
+
+    def frames(self, display, world, *, paced: bool) -> Iterator[Frame]:
+        """Yield the recorded frames, for the caller to step and present, until they or the display end.
+
+        They have as many of the recorded cameras as the display, for pictures of its size.
+
+        paced  in the display's time, and stopped by its pause; otherwise one for each of the display's frames
+        """
+        due, held = 0.0, False
+        for shown in display.frames(world):
+            if self.done == len(self):
+                return
+            held ^= paced and last_of(Pause, shown.commands) is not None
+            due += 0.0 if held else shown.dt
+            now = self.recorded[self.done]
+            while paced and self.done + 1 < len(self) and due >= now.dt + self.recorded[self.done + 1].dt:
+                world.step(replace(now, cameras=[]))  # more steps than pictures
+                due -= now.dt
+                self._after(world)
+                now = self.recorded[self.done]
+            if paced and due < now.dt:
+                display.present(world)  # nothing new
+                continue
+            due -= now.dt
+            yield replace(now, cameras=self._seen(now.cameras, shown.cameras))
+            self._after(world)
+
+    def _seen(self, recorded: list[Camera], shown: list[Camera]) -> list[Camera]:
+        self._cameras = recorded or self._cameras
+        if len(self._cameras) < len(shown):
+            return shown
+        pairs = zip(self._cameras, shown, strict=False)
+        return [fitted(c, s.width, s.height, stretch=s.fx / s.fy) for c, s in pairs]
+
+    def _after(self, world) -> None:
+        """Compare the world after its step with the recorded state."""
+        expected = self.states.get(self.done)
+        self.done += 1
+        if expected is None:
+            return
+        self.compared += 1
+        there = np.array([b.centroid for b in world.bodies()]).reshape(-1, 3)
+        if there.shape != expected.shape:
+            self.largest = float("inf")
+        elif len(there):
+            away = float(np.linalg.norm(there - expected, axis=1).max())
+            self.largest = max(self.largest, away if np.isfinite(away) else float("inf"))
+
+    def report(self) -> str:
+        """Summary of the replay, one line."""
+        of = "" if self.done == len(self) else f" of {len(self)}"
+        if not self.compared:
+            return f"replayed {self.done}{of} frames"
+        if self.largest == float("inf"):
+            return f"replayed {self.done}{of} frames, not the same bodies"
+        return f"replayed {self.done}{of} frames, largest difference {self.largest:.3g} m"

@@ -11,8 +11,7 @@ from assets.asset import Asset
 from assets.environment import Environment
 from assets.file_access import FOLDER_LOCK, locked_folder
 from assets.gaussians import Gaussians
-from commands.capture_report import played, spent
-from commands.capture_room import STAGES, RoomMaking, stages_before
+from commands.capture_room import STAGES, RoomMaking, played, spent, stages_before
 from commands.parser import parse
 from core.errors import BadInput
 from core.report import html_page

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import commands.play_session as play_session
 import vrgs
 from assets.asset import Asset
 from assets.splat_files import write_gaussians
 from commands import opening
+from commands import play as playing
 from commands.opening import Opening, opened_options
 from commands.play_options import PlayOptions
 from core.errors import BadInput, Cancelled
@@ -97,19 +97,20 @@ def session(monkeypatch):
 
     def begin(*script, **outputs):
         kinds = dict.fromkeys(("film", "recording", "study", "sound")) | {"keeper": SimpleNamespace(scene="")} | outputs
-        return play_session.Session(
+        return playing.Session(
             PlayOptions(scene="one", arch="cpu", state="no light of the user's"), NamedScene("one"),
-            ScriptedDisplay(*script), **kinds, replay=None, load=load, world_options={}, preferences=Preferences(),
+            ScriptedDisplay(*script), **kinds, replay=None, world_options={}, preferences=Preferences(),
         )  # fmt: skip
 
-    def load(options):
+    def load(options, replay=None):
         if options.scene == "broken":
             raise BadInput("broken: cannot be read")
         return NamedScene(options.scene if options.stage is None else f"{options.scene} in {options.stage}")
 
     monkeypatch.setattr("display.world.World", EmptyWorld)
-    monkeypatch.setattr(play_session, "end_taichi", lambda: None)
-    monkeypatch.setattr(play_session, "start_taichi", lambda arch, seed: None)
+    monkeypatch.setattr(playing, "load_scene", load)
+    monkeypatch.setattr(playing, "end_taichi", lambda: None)
+    monkeypatch.setattr(playing, "start_taichi", lambda arch, seed: None)
     monkeypatch.setattr("display.scene_bodies.load_bodies", lambda scene: None)
     monkeypatch.setattr("commands.opening.check_name", lambda name, playing: None)
     monkeypatch.setattr("commands.opening.is_asset", lambda name: True)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from core.rotation import quaternions_from_matrices
-from display.record.replay import Replay
+from display.record.recording import Replay
 from display.study.study_file import read_study
 from display.xr.poses import PlaySpace
 from display.xr.wrist_panel import BUTTONS, panel_pose

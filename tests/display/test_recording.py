@@ -17,16 +17,15 @@ import scenes
 import vrgs
 from commands.parser import parse
 from commands.play import open_display, open_film, open_replay
-from core.camera import look_at, perspective
+from core.camera import fitted, look_at, perspective
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import BodyState, Hand, Light, Touch
 from display import user_commands as cmd
 from display.headless.video import FILM_FPS, frame_count
 from display.protocol import Frame
-from display.record.recording import Recording
+from display.record.recording import Recording, Replay
 from display.record.recording_file import JOURNAL, VERSION
-from display.record.replay import Replay, fitted
 from display.timing import Timings
 from scenes import registry
 from scenes.sandbox import TOYS
@@ -429,7 +428,7 @@ def test_a_journal_of_which_no_recording_can_be_written_stays(tmp_path, capsys, 
     def full(path, journal):
         raise BadInput(f"{path}: cannot be written (No space left on device)")
 
-    monkeypatch.setattr("display.record.recording.write_recording", full)
+    monkeypatch.setattr("display.record.recording_file.write_recording", full)
     path = tmp_path / "play.h5"
     record(path, some_frames(100))
     assert capsys.readouterr().err == (

@@ -16,10 +16,8 @@ from numpy.testing import assert_allclose
 from core.errors import BadInput
 from core.vocabulary import BodyState, Hand
 from display.protocol import Frame
-from display.study.comparison import compare
-from display.study.questionnaire import QUESTIONS, Answers, ask, form_page, read_answers_file
-from display.study.study_file import Study, StudyLog, add_to_study, read_study, write_study
-from display.study.trial import MIXED, Trial
+from display.study.study_file import Study, StudyLog, add_to_study, compare, read_study, write_study
+from display.study.trial import MIXED, QUESTIONS, Answers, Trial, ask, form_page, read_answers_file
 from display.user_commands import PlayDemo, Reset
 from vrgs import main
 

@@ -95,7 +95,7 @@ def kill_once(name: str, folder: Path, seconds: float) -> None:
 def kill_recording(folder: Path, seconds: float) -> None:
     """A recording that is killed in the middle replays up to its last writing. Raises AssertionError."""
     from display.record import recording as module
-    from display.record.replay import Replay
+    from display.record.recording import Replay
     from tests.display.test_recording import Ball, same, some_frames
 
     path, frames = folder / "long.h5", some_frames(3000)

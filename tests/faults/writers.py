@@ -24,8 +24,7 @@ from core.camera import Camera
 from display.headless.video import Video
 from display.picture import save_picture
 from display.preferences import Preferences
-from display.record.recording import Recording
-from display.record.replay import Replay
+from display.record.recording import Recording, Replay
 from display.study.study_file import add_to_study, read_study
 from display.study.trial import Trial
 from prepare.progress import Checkpoints, read_arrays

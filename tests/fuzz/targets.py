@@ -33,10 +33,9 @@ from core.vocabulary import Light
 from display.keep.scene_state import game_values
 from display.keep.state_file import read_state, write_state
 from display.preferences import Bookmarks, PathText, Preferences
-from display.record.replay import Replay
-from display.study.comparison import compare_study, overview, table
-from display.study.questionnaire import read_answers_file
-from display.study.study_file import Study, read_study, write_study
+from display.record.recording import Replay
+from display.study.study_file import Study, compare_study, overview, read_study, table, write_study
+from display.study.trial import read_answers_file
 from display.web.page_messages import read_message
 from prepare.onnx_network import LamaNetwork
 from prepare.progress import Checkpoints, arrays_of, gaussians_of

@@ -9,8 +9,7 @@ from commands.parser import parse
 from commands.play import load_scene, take_options
 from commands.play_options import PlayOptions
 from core.errors import BadInput
-from display.record.recording import Recording
-from display.record.replay import Replay
+from display.record.recording import Recording, Replay
 from scenes import registry
 from tests.display.test_recording import Ball, some_frames
 from vrgs import main

@@ -4,7 +4,7 @@ import taichi as ti
 
 from core.camera import Camera
 from core.errors import BadInput
-from core.runtime import keep_compiled_kernels
+from core.runtime import keep_compiled_kernels, launch
 from render.binning import DepthOrder, TileBins
 from render.blend import CPU_TILE, GPU_TILE, Blend
 from render.footprint import ChangedTiles
@@ -75,7 +75,8 @@ class Rasterizer:
         end = self.splats.count if end is None else end
         cameras = self._cameras if self._unsent else []
         words = [*cameras, NO_CAMERA, NO_CAMERA][:2]
-        self._order(begin, end, self._kept, self._last != (begin, end, id(out)), len(cameras), *words[0], *words[1])
+        whole = self._last != (begin, end, id(out))
+        launch(self._order, begin, end, self._kept, whole, len(cameras), *words[0], *words[1])
         self._unsent = False
         self._kept, self._last = self.projection.still, (begin, end, id(out))
         self.tile_pass.draw(out)
@@ -173,7 +174,7 @@ class TilePass:
 
     def draw(self, out) -> None:
         """Bin and blend; `out` is an ndarray of pixels or a number."""
-        self._bin()
+        launch(self._bin)
         if isinstance(out, ti.Ndarray):
             self._blend_to_ndarray(out)
         else:

@@ -15,6 +15,7 @@ import taichi as ti
 from core.runtime import (
     CACHE_PLACE,
     ENTRY,
+    EXP2_BITCODE,
     HEADER_SIZE,
     INDEX,
     KEY_SIZE,
@@ -23,9 +24,10 @@ from core.runtime import (
     QUADRANTS,
     Graph,
     KernelMethod,
+    exp2_file,
     interrupts_held,
-    intrinsic_function,
     is_sound_index,
+    launch,
     mend_kernel_cache,
 )
 
@@ -110,8 +112,8 @@ def test_launches_are_repeated_in_their_order_with_their_numbers(ti_cpu):
         digits[None] = 10 * digits[None] + 9
 
     graph = Graph()
-    for launch in ((append, 4), (append, 2), (append_nine,), (append, 4)):
-        graph.launch(*launch)
+    for added in ((append, 4), (append, 2), (append_nine,), (append, 4)):
+        graph.launch(*added)
     graph.run()
     assert digits[None] == 4294
     digits[None] = 0
@@ -119,31 +121,40 @@ def test_launches_are_repeated_in_their_order_with_their_numbers(ti_cpu):
     assert digits[None] == 4294
 
 
-@pytest.mark.skipif(QUADRANTS, reason="it has the functions of Taichi alone")
-@pytest.mark.parametrize("cache", ["folder", "file"])
-def test_kernels_call_what_taichi_has_no_name_for(ti_cpu, tmp_path, monkeypatch, cache):
-    (tmp_path / "file").touch()  # a cache that cannot be made
-    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / cache))
-    root, found = intrinsic_function("llvm.sqrt.f32"), ti.field(ti.f32, 100)
+def test_integers_reach_a_launched_kernel_of_their_object(ti_cpu):
+    """At its first run, once it is compiled, and compiled anew."""
 
-    @ti.kernel
-    def fill():
-        for i in found:
-            x = ti.cast(i, ti.f32)
-            root(x)
-            found[i] = x
-        for i in found:
-            x = ti.cast(i, ti.f32)
-            root(x)
-            found[i] += x
+    @ti.data_oriented
+    class Sum:
+        def __init__(self, factor):
+            self.factor, self.total = factor, ti.field(ti.i64, ())
 
-    fill()
-    np.testing.assert_allclose(found.to_numpy(), 2 * np.sqrt(np.arange(100)), rtol=1e-6)
+        @ti.kernel
+        def add(self, small: ti.i32, large: ti.i64):
+            self.total[None] += self.factor * (large - small)
+
+    sums = [Sum(factor) for factor in (1, 10)]
+    for _ in range(2):
+        for one in sums:
+            launch(one.add, -3, 1 << 40)
+    Sum.add._primal.reset()
+    launch(sums[1].add, 5, 6)
+    assert [one.total[None] for one in sums] == [2 * ((1 << 40) + 3), 20 * ((1 << 40) + 3) + 10]
+
+
+def test_bitcode_is_written_anew_to_the_same_place(tmp_path, monkeypatch):
+    """Whatever another program has left there."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    path = exp2_file()
+    assert path.read_bytes() == EXP2_BITCODE and EXP2_BITCODE.startswith(b"BC\xc0\xde")
+    path.write_bytes(EXP2_BITCODE[:99])
+    assert exp2_file() == path and path.read_bytes() == EXP2_BITCODE
+    assert list(path.parent.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("backend, python", [("quadrants", (3, 11)), ("", (3, 14))])
 def test_another_back_end_stands_in_for_taichi(tmp_path, backend, python):
-    """Where it is asked for, and with a Python that Taichi has no wheel for."""
+    """It is imported if it is asked for, and with a Python that Taichi has no wheel for."""
     package = tmp_path / "quadrants"
     (package / "lang").mkdir(parents=True)
     (package / "__init__.py").write_text("cfg = 'the fork'")

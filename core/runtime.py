@@ -135,7 +135,7 @@ def program():
     return impl.get_runtime()._prog if QUADRANTS else impl.get_runtime().prog
 
 
-# What an assembler, which Taichi does not bring with it, makes of
+# LLVM bitcode, assembled (Taichi brings no assembler) from
 #     target triple = "nvptx64-nvidia-cuda"
 #     target datalayout = "e-i64:64-i128:128-v16:16-v32:32-n16:32:64"
 #     define weak_odr void @llvm_nvvm_ex2_approx_ftz_f(float* %p) alwaysinline {

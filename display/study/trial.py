@@ -1,4 +1,4 @@
-"""What participants of the study do and say: trials, and answers to the questionnaire.
+"""Trials of the study and answers to its questionnaire: records of what a participant does and says.
 
 A trial is one participant's play of one task, from its start to its goal or its end. The questionnaire has the themes
 of the paper's user study in this program's own words. It is asked in the terminal, or as an HTML page that works

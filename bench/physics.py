@@ -18,6 +18,7 @@ from core.runtime import start_taichi
 from core.tetmesh import boundary_surface, positively_oriented, tet_volumes
 from core.tetmesh import box_mesh as box
 from core.vocabulary import Plane
+from prepare.fit.linear_elasticity import fem_stiffness
 from sim.bodies import SoftBody
 from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1
 from sim.solver import Solver
@@ -159,22 +160,6 @@ def elastic_forces(vertices: np.ndarray, tets: np.ndarray, young: float, poisson
         return -back @ (mu * F + (lam * (J - 1) - mu)[:, None] * cofactor).reshape(3 * T, 3)
 
     return forces
-
-
-def fem_stiffness(x: np.ndarray, tets: np.ndarray, young: float, poisson: float) -> sp.csr_matrix:
-    """Stiffness matrix (3V, 3V) [N/m] of linear elasticity with constant-strain tets, float64."""
-    lam, mu = young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
-    D = np.swapaxes(x[tets[:, 1:]] - x[tets[:, :1]], 1, 2)
-    volume, inner = np.linalg.det(D) / 6, np.linalg.inv(D)
-    g = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # (T, 4, 3) gradients of the shape functions
-    # K_ab = V (lam g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I)
-    K = lam * np.einsum("tai,tbj->taibj", g, g) + mu * np.einsum("taj,tbi->taibj", g, g)
-    K += mu * np.einsum("tak,tbk,ij->taibj", g, g, np.eye(3))
-    K *= volume[:, None, None, None, None]
-    dof = (3 * tets[:, :, None] + np.arange(3)).reshape(len(tets), 12)
-    rows, cols = np.repeat(dof, 12, axis=1).ravel(), np.tile(dof, (1, 12)).ravel()
-    n = 3 * len(x)
-    return sp.coo_matrix((K.reshape(-1), (rows, cols)), shape=(n, n)).tocsr()
 
 
 def fem_solve(K: sp.csr_matrix, force: np.ndarray, fixed: np.ndarray, displacement=0.0) -> np.ndarray:

@@ -28,10 +28,10 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_865, "assets": 5_040, "scenes": 2_220, "sim": 10_600, "render": 3_400, "prepare": 13_300,
-    "display": 13_700, "commands": 4_210, "bench": 3_350, "installer": 200, "tests": 34_650,
+    "core": 2_865, "assets": 5_040, "scenes": 2_220, "sim": 10_700, "render": 3_400, "prepare": 14_150,
+    "display": 13_700, "commands": 4_310, "bench": 3_350, "installer": 200, "tests": 35_225,
 }  # fmt: skip
-MOST_FILES = 296  # of the product
+MOST_FILES = 304  # of the product
 
 
 def product_files() -> list[Path]:

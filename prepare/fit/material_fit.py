@@ -1,0 +1,368 @@
+"""The material whose motion is nearest to markers': a scan of Young's moduli, least squares, and honest intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from core.errors import BadInput
+from core.material import RAYLEIGH_FREQUENCY, Material
+from prepare.fit.least_squares import BLOCKS, Fitted, Prior, minimise
+from prepare.fit.linear_elasticity import ElasticShape, subdivided
+from prepare.fit.marker_tracks import MarkerTracks, marker_weights, noise_of, rigid_pose, start_of
+from prepare.progress import Progress
+
+# The simulator: cage vertices and tets, held vertices, and for each candidate its material and its positions and
+# velocities at the start (V, 3); the places of the cage's vertices become those of the markers by weights (M, V).
+# Out: places (F, C, M, 3) [m].
+Roll = Callable[["CageOfMarkers", list[tuple[Material, np.ndarray, np.ndarray]]], np.ndarray]
+
+STEPS = ("scan", "fit", "interval")  # of the progress
+YOUNG_RANGE, DAMPING_RANGE, FRICTION_RANGE = (1e2, 3e8), (0.02, 100.0), (0.0, 1.5)
+SCAN_FACTOR = 1.35  # from one Young's modulus of the scan to the next: 16% in frequency
+SCAN_RANGE = (3e2, 3e7)  # [Pa] at 100 kg/m^3 and a size of 10 cm, and with size^2 and density
+FINE_FACTORS = 1.1 ** np.arange(-3, 4)
+FINE_DAMPINGS = (0.5, 4.0)  # [1/s]
+FIRST_FRICTION = 0.25  # slides on most slopes: what sticks says nothing of how much less would let it slide
+UNITS = {"young": "Pa", "damping": "1/s", "friction": ""}
+LONGEST_LAG = 1 / 1260  # [s] of inner friction in the simulator: its substep; other integrators take less
+MODES = 2  # whose amplitude and speed at the start are fitted
+NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
+FRICTION_NOT_VISIBLE = 0.25
+STILL = 4.0  # deviations of the noise by which markers must move against each other
+UNEXPLAINED = 0.5  # of the variance of markers against each other: with more left over, it is not the material's doing
+UNLIKE = 0.35  # of how markers move against the thing's own way: what is left unexplained of another thing's motion
+MOST_REFINED = 2_500  # vertices of a cage that is refined to see what its size costs
+REFINED_FACTORS = (0.95, 1.0, 1.07, 1.15, 1.25, 1.4)  # a coarse cage is too stiff, so the thing is stiffer than it says
+CHORD_STEPS = 3
+FAR_OFF = 1e3  # [m]
+
+
+@dataclass(frozen=True, eq=False)
+class CageOfMarkers:
+    """A cage as the simulator takes it: held vertices (H,), and the markers' weights (M, V). Equal to itself alone."""
+
+    vertices: np.ndarray
+    tets: np.ndarray
+    held: np.ndarray
+    weights: sp.csr_matrix
+
+    def markers(self, x: np.ndarray) -> np.ndarray:
+        """Places of the markers (..., M, 3) where the vertices are at x (..., V, 3)."""
+        return np.stack([self.weights @ one for one in x])
+
+
+@dataclass(frozen=True)
+class Number:
+    """A fitted number and its 90% interval; `seen` False: it does not show. `played`: what suits the given cage."""
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    played: float
+    seen: bool
+
+
+@dataclass(frozen=True)
+class MaterialFit:
+    """What was found: the asset's material with the numbers that are seen, all numbers, and what the report draws.
+
+    scan      Young's moduli [Pa] and mean distances [m], (n, 2)
+    modelled  places of the markers [m], (F, M, 3);   by_factor  with E halved and doubled, by the factor
+    error, moved  root mean squares [m]: what is left, and how far markers moved against the whole
+    """
+
+    material: Material
+    numbers: tuple[Number, ...]
+    scan: np.ndarray
+    modelled: np.ndarray
+    by_factor: dict[float, np.ndarray]
+    error: float
+    moved: float
+    noise: float
+    steps: int
+    mass_known: bool
+
+
+class MaterialProblem:
+    """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, and
+    corrections of the start (of the velocity of a free body, and of the amplitude and speed of its slowest modes)."""
+
+    def __init__(self, tracks: MarkerTracks, vertices, tets, material: Material, roll: Roll, where: str):
+        self.tracks, self.base, self.roll, self.where = tracks, material, roll, where
+        x, tets = np.asarray(vertices, np.float64), np.asarray(tets, np.int64)
+        held = np.zeros(0, np.int64)
+        if tracks.held is not None:
+            held = np.flatnonzero(((x >= tracks.held[0]) & (x <= tracks.held[1])).all(1))
+            if len(held) < 3:
+                raise BadInput(
+                    f"{where}: the held box contains {len(held)} vertices of the cage; at least 3 are needed"
+                )
+        self.cage = CageOfMarkers(x, tets, held, marker_weights(x, tets, tracks.rest, where))
+        self.noise = noise_of(tracks)
+        self.check_motion()
+        self.size = float(np.ptp(x, axis=0).max())
+        self.shape = ElasticShape(x, tets, held, material.poisson, MODES)
+        self._set_start()
+        rubs = len(tracks.planes) > 0
+        self.names = ["young", "damping", *(["friction"] if rubs else [])]
+        self.main = len(self.names)
+        self.rubs = rubs
+        log, each = np.log, np.ones(len(self.fields))
+        rows = {
+            "centre": [log(material.young), log(1.5), 0.4],
+            "spread": [6.0, 2.0, 1.0],
+            "low": [log(YOUNG_RANGE[0]), log(DAMPING_RANGE[0]), FRICTION_RANGE[0]],
+            "high": [log(YOUNG_RANGE[1]), log(DAMPING_RANGE[1]), FRICTION_RANGE[1]],
+            "step": [0.02, 0.1, 0.02],
+        }
+        of_start = {"centre": 0.0, "spread": 20.0, "low": -200.0, "high": 200.0, "step": 1.0}
+        self.prior = Prior(**{n: np.r_[row[: self.main], of_start[n] * each] for n, row in rows.items()})
+
+    def check_motion(self) -> None:
+        """Raise BadInput if the markers do not move against each other."""
+        self.inner = inner_motion(self.tracks)
+        if self.inner < STILL * self.noise and not len(self.tracks.planes):
+            raise BadInput(
+                f"{self.where}: nothing deforms: markers move by {1e3 * self.inner:.2g} mm against each other,"
+                f" their noise is {1e3 * self.noise:.2g} mm"
+            )
+
+    def _set_start(self) -> None:
+        t, c = self.tracks, self.cage
+        place, velocity, known = start_of(t)
+        free = not len(c.held)
+        pose = rigid_pose(t.rest[known], place[known]) if free and t.pose is None else t.pose
+        pose = np.eye(4) if pose is None else pose
+        R, shift = pose[:3, :3], pose[:3, 3]
+        W = c.weights[known]
+        u = self.shape.through(W, (place[known] - shift) @ R - t.rest[known])
+        self.x0 = (c.vertices + u) @ R.T + shift
+        speed = max(0.02 * float(np.sqrt((velocity[known] ** 2).mean())), 2e-3 * self.size / 0.1)
+        fields = []
+        v = np.zeros_like(self.x0)
+        if free:
+            r = self.x0 - self.x0.mean(0)
+            rigid = [np.tile(axis, (len(r), 1)) for axis in np.eye(3)]
+            rigid += [np.cross(axis, r) / (self.size / 2) for axis in np.eye(3)]
+            A = np.stack([(W @ field).ravel() for field in rigid], 1)
+            amount = np.linalg.lstsq(A, velocity[known].ravel(), rcond=None)[0]
+            v = np.tensordot(amount, np.stack(rigid), 1)
+            fields += [(0 * r, speed * field) for field in rigid]
+        v += self.shape.through(W, (velocity[known] - W @ v) @ R) @ R.T
+        self.v0 = v
+        for mode in self.shape.modes @ R.T:
+            fields += [(2e-3 * self.size * mode, 0 * mode), (0 * mode, speed * mode)]
+        self.fields = fields
+
+    def material(self, theta: np.ndarray) -> Material:
+        """The material of parameters (P,)."""
+        friction = float(theta[2]) if self.rubs else self.base.friction
+        return replace(
+            self.base,
+            young=float(np.exp(theta[0])),
+            damping=float(np.exp(theta[1])),
+            friction=friction,
+            kinetic_friction=None if self.rubs else self.base.kinetic_friction,
+        )
+
+    def candidate(self, theta: np.ndarray) -> tuple[Material, np.ndarray, np.ndarray]:
+        """Material, positions and velocities at the start, (V, 3)."""
+        x, v = self.x0.copy(), self.v0.copy()
+        for amount, (dx, dv) in zip(theta[self.main :], self.fields, strict=True):
+            x += amount * dx
+            v += amount * dv
+        return self.material(theta), x, v
+
+    def places(self, thetas: np.ndarray) -> np.ndarray:
+        """Places of the markers [m], (C, F, M, 3)."""
+        return np.moveaxis(self.roll(self.cage, [self.candidate(t) for t in thetas]), 1, 0)
+
+    def residuals(self, thetas: np.ndarray) -> np.ndarray:
+        """Places less those seen, (C, N) in units of the noise; NaN where a marker is not seen."""
+        places = np.nan_to_num(self.places(thetas), nan=FAR_OFF)  # of what exploded: NaN would count as not seen
+        off = (places - self.tracks.points) / self.noise
+        return off.reshape(len(thetas), -1)
+
+    def blocks(self) -> np.ndarray:
+        """The stretch of time of each residual, (N,)."""
+        frames, markers, _ = self.tracks.points.shape
+        return np.repeat(np.arange(frames) * BLOCKS // frames, 3 * markers)
+
+
+def inner_motion(tracks: MarkerTracks) -> float:
+    """Root mean square [m] of how markers move against the held part, or the nearest rigid motion in each frame."""
+    squares, held = [], tracks.held is not None and not np.isfinite(tracks.release)
+    for points, seen in zip(tracks.points, tracks.seen, strict=True):
+        if held:
+            squares.append(((points - np.nanmean(tracks.points, 0)) ** 2)[seen].sum(1).mean())
+        elif seen.sum() >= 4:
+            pose = rigid_pose(tracks.rest[seen], points[seen])
+            squares.append(((points[seen] - tracks.rest[seen] @ pose[:3, :3].T - pose[:3, 3]) ** 2).sum(1).mean())
+    return float(np.sqrt(np.mean(squares))) if squares else 0.0
+
+
+def windowed(residuals: np.ndarray, frames: int) -> np.ndarray:
+    """Mean distance in the first quarter, the first half and all of the frames, (C, 3); a short time has few minima."""
+    off = np.sqrt(np.nansum(residuals.reshape(len(residuals), frames, -1, 3) ** 2, axis=3))
+    off = np.where(np.isfinite(off), off, 1e6)
+    return np.stack([off[:, : -(-frames // part)].mean((1, 2)) for part in (4, 2, 1)], 1)
+
+
+def scan_youngs(problem: MaterialProblem) -> np.ndarray:
+    """Young's moduli [Pa] that are tried first: those of one time scale for each size and density."""
+    unit = problem.base.density / 100 * (problem.size / 0.1) ** 2
+    low, high = np.clip(np.array(SCAN_RANGE) * unit, *YOUNG_RANGE)
+    return np.geomspace(low, high, 1 + int(np.ceil(np.log(high / low) / np.log(SCAN_FACTOR))))
+
+
+def first_guess(problem: MaterialProblem, start: np.ndarray, thetas: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """Parameters (P,) of the best of a finer scan about the lowest minima of the first one: thetas, scores (n, ...)."""
+    total = np.log(scores).sum(1)
+    ends = np.r_[np.inf, total, np.inf]
+    minima = np.flatnonzero((ends[1:-1] <= ends[:-2]) & (ends[1:-1] <= ends[2:]))
+    minima = minima[np.argsort(total[minima])][:2]
+    fine = [start]
+    for k in minima:
+        for factor in FINE_FACTORS:
+            for damping in FINE_DAMPINGS:
+                theta = thetas[k].copy()
+                theta[:2] = theta[0] + np.log(factor), np.log(damping)
+                fine.append(theta)
+    fine = np.clip(fine, problem.prior.low, problem.prior.high)
+    scores = np.log(windowed(problem.residuals(fine), len(problem.tracks.times))).sum(1)
+    return fine[int(scores.argmin())]
+
+
+def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_known: bool) -> MaterialFit:
+    """Fit, and say how sure it is; `keep(name, make)` returns arrays that were kept, or makes and keeps them.
+
+    Raises BadInput where the motion is that of another thing.
+    """
+    frames, youngs = len(problem.tracks.times), scan_youngs(problem)
+
+    def scan() -> dict[str, np.ndarray]:
+        start = problem.prior.centre.copy()
+        if problem.rubs:  # what slides hides what it is made of: its way is fitted first, as the asset's material
+            start[2] = FIRST_FRICTION
+            start = minimise(problem.residuals, start, problem.prior, 1.0).theta
+        progress("scan", 0.3)
+        thetas = np.tile(start, (len(youngs), 1))
+        thetas[:, 0] = np.log(youngs)
+        scores = windowed(problem.residuals(thetas), frames)
+        progress("scan", 0.6)
+        return {"scores": scores, "guess": first_guess(problem, start, thetas, scores)}
+
+    progress("scan", 0.0)
+    scanned = keep("scan", scan)
+    progress("scan", 1.0)
+
+    def least() -> dict[str, np.ndarray]:
+        found = minimise(problem.residuals, scanned["guess"], problem.prior, 1.0, lambda d: progress("fit", d))
+        return {name: np.asarray(value) for name, value in vars(found).items()}
+
+    kept = keep("fit", least)
+    progress("fit", 1.0)
+    fitted = Fitted(**{**kept, "scale": float(kept["scale"]), "steps": int(kept["steps"])})
+    theta = fitted.theta
+    played = [theta, theta - np.log(2) * np.eye(len(theta))[0], theta + np.log(2) * np.eye(len(theta))[0]]
+    modelled, halved, doubled = problem.places(np.stack(played))
+    off = modelled - problem.tracks.points
+    error = float(np.sqrt(np.nanmean((off**2).sum(2))))
+    travel = float(np.sqrt(np.nanmean(((problem.tracks.points - np.nanmean(problem.tracks.points, 0)) ** 2).sum(2))))
+    moved = max(problem.inner, 0.25 * travel)
+    if error > UNLIKE * moved + 3 * problem.noise:
+        raise BadInput(
+            f"{problem.where}: no material moves like this: {1e3 * error:.2g} mm are left of {1e3 * moved:.2g} mm;"
+            " are rest, held, planes and the units right?"
+        )
+    progress("interval", 0.2)
+    shift = keep("cage", lambda: {"shift": cage_shift(problem, fitted)})["shift"]
+    progress("interval", 1.0)
+    left = np.sqrt(max(error**2 - 3 * problem.noise**2, 0.0))
+    numbers = numbers_of(problem, fitted, shift, mass_known, left)
+    seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
+    return MaterialFit(
+        material=replace(problem.base, **seen, **({"kinetic_friction": None} if "friction" in seen else {})),
+        numbers=numbers,
+        scan=np.column_stack([youngs, scanned["scores"][:, 2] * problem.noise]),
+        modelled=modelled,
+        by_factor={0.5: halved, 2.0: doubled},
+        error=error,
+        moved=moved,
+        noise=problem.noise,
+        steps=fitted.steps,
+        mass_known=mass_known,
+    )
+
+
+def cage_shift(problem: MaterialProblem, fitted: Fitted) -> np.ndarray:
+    """How the parameters move (P,) where the cage is so fine that its size does not matter; 0 for a large cage.
+
+    The motion is fitted once more with the cage cut in eight: a scan of E, then steps by the derivatives of the cage as
+    it is. Errors of linear tets fall with the square of their edges, so 4/3 of this shift is that to the limit.
+    """
+    cage = problem.cage
+    if len(cage.vertices) > MOST_REFINED:
+        return np.zeros_like(fitted.theta)
+    x, tets, W = subdivided(cage.vertices, cage.tets)
+    held = np.flatnonzero(np.asarray((W[:, cage.held] if len(cage.held) else W[:, :0]).sum(1)).ravel() > 0.999)
+    fine = CageOfMarkers(x, tets, held, marker_weights(x, tets, problem.tracks.rest, problem.where))
+
+    def residuals(thetas: np.ndarray) -> np.ndarray:
+        made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, thetas)]
+        off = np.nan_to_num(np.moveaxis(problem.roll(fine, made), 1, 0), nan=FAR_OFF) - problem.tracks.points
+        return off.reshape(len(thetas), -1) / problem.noise
+
+    first = fitted.theta[None] + np.log(REFINED_FACTORS)[:, None] * np.eye(len(fitted.theta))[0]
+    losses = np.nanmean(np.abs(residuals(first)), axis=1)
+    theta, least = first[int(losses.argmin())], float(losses.min())
+    for _ in range(CHORD_STEPS):
+        step = fitted.shift(residuals(theta[None])[0])
+        trials = np.clip(theta + np.outer((1.0, 0.5, 0.25), step), problem.prior.low, problem.prior.high)
+        losses = np.nanmean(np.abs(residuals(trials)), axis=1)
+        if not losses.min() < least:
+            break
+        theta, least = trials[int(losses.argmin())], float(losses.min())
+    return (theta - fitted.theta) * 4 / 3
+
+
+def numbers_of(
+    problem: MaterialProblem, fitted: Fitted, shift: np.ndarray, mass_known: bool, left: float
+) -> tuple[Number, ...]:
+    """The numbers with their intervals: by the residuals, and half of what the cage's size changes.
+
+    Where `left` [m], what noise does not explain, is most of the markers' motion against each other, neither
+    stiffness nor damping is seen, nor the friction of a thing that deforms, as at impacts; and friction is not known
+    better than to what would move markers so far. Solvers take
+    less inner friction than a material has, down to none: as much of the damping as this may be is in its interval.
+    """
+    half = np.hypot(fitted.half_widths(problem.blocks()), 0.5 * np.abs(shift))
+    slowest = problem.shape.stiffness[0] * np.exp(fitted.theta[0]) / problem.base.density  # squared frequency [1/s^2]
+    lag = min(1 / RAYLEIGH_FREQUENCY**2, LONGEST_LAG / np.exp(fitted.theta[1]))  # [s^2] of inner friction / damping
+    half[1] = np.hypot(half[1], slowest * lag)
+    if problem.rubs:
+        per_unit = problem.noise * np.sqrt(3 * (fitted.jacobian[:, 2] ** 2).mean())  # [m]
+        half[2] = np.hypot(half[2], left / max(per_unit, 1e-9))
+    explained, rigid = left**2 < UNEXPLAINED * problem.inner**2, problem.inner < STILL * problem.noise
+    found = []
+    for k, name in enumerate(problem.names):
+        middle = float(np.clip(fitted.theta[k] + shift[k], problem.prior.low[k], problem.prior.high[k]))
+        ends = [middle, middle - half[k], middle + half[k], float(fitted.theta[k])]
+        if name == "friction":
+            seen, ends[1] = bool((explained or rigid) and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
+        else:
+            within = ends[1] > problem.prior.low[k] and ends[2] < problem.prior.high[k]
+            seen = bool(explained and within and half[k] < NOT_VISIBLE)
+            ends = np.exp(ends).tolist()
+        found.append(Number(name, UNITS[name], *ends, seen))
+    if not mass_known:  # gravity and what stands still do not show the mass: only E / rho is seen
+        young, rho = found[0], problem.base.density
+        ratio = [q / rho for q in (young.value, young.low, young.high, young.played)]
+        found.insert(0, Number("young / density", "m^2/s^2", *ratio, young.seen))
+    return tuple(found)

@@ -1,0 +1,188 @@
+"""The material of a hanging bar from its markers, where the simulator is linear elasticity by its modes, in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from core.errors import BadInput
+from core.material import Material
+from core.tetmesh import box_mesh
+from prepare.fit.fit_report import lines_of, page_of
+from prepare.fit.linear_elasticity import ElasticShape
+from prepare.fit.marker_tracks import MarkerTracks
+from prepare.fit.material_fit import MaterialProblem, fit_material
+from prepare.progress import no_progress
+
+SIZE = np.array([0.24, 0.04, 0.04])
+HELD = np.array([[-1, -1, -1], [1e-6, 1, 1.0]])
+TRUE = Material(2e5, 0.3, 250.0, damping=1.5)
+ASSET = Material(1e6, 0.3, 250.0, damping=4.0)
+GRAVITY, FRAMES = np.array([0, -9.81, 0.0]), 60
+
+
+def roll(cage, candidates, times=np.arange(FRAMES) / 60):
+    """Small motions of a held cage under gravity, exactly: each mode is a damped oscillation about its sag."""
+    free = np.setdiff1d(np.arange(len(cage.vertices)), cage.held)
+    if not hasattr(roll, "modes") or roll.modes[0] is not cage:
+        s = ElasticShape(cage.vertices, cage.tets, cage.held, TRUE.poisson, 1)
+        mass = np.repeat(s.mass[free], 3)
+        squares, shapes = scipy.linalg.eigh(s.K.toarray() / np.sqrt(np.outer(mass, mass)))
+        shapes /= np.sqrt(mass)[:, None]
+        roll.modes = (cage, squares, shapes, mass)
+    _, squares, shapes, mass = roll.modes
+    found = []
+    for m, x, v in candidates:
+        w2 = squares * m.young / m.density
+        c = np.minimum(m.damping + m.retardation_time * w2, 1.9 * np.sqrt(w2))  # what is faster creeps back anyway
+        u, du, load = (
+            (shapes.T @ (mass * q[free].ravel())) for q in (x - cage.vertices, v, np.tile(GRAVITY, (len(x), 1)))
+        )
+        sag, w = load / w2, np.sqrt(w2 - c**2 / 4)
+        a, b = u - sag, (du + c / 2 * (u - sag)) / w
+        decay = np.exp(-np.outer(times, c) / 2)
+        q = sag + decay * (a * np.cos(np.outer(times, w)) + b * np.sin(np.outer(times, w)))
+        places = np.tile(cage.vertices, (len(times), 1, 1))
+        places[:, free] += (q @ shapes.T).reshape(len(times), -1, 3)
+        found.append(cage.markers(places))
+    return np.stack(found, 1)
+
+
+def tracks_of(material, cells, noise=2e-4, seed=0, start=0.0):
+    """Markers on a bar that is let go at rest, by a cage of these cells; NaN where a marker is hidden."""
+    rng = np.random.default_rng(seed)
+    rest = rng.uniform([0.2, 0, 0], 1, (12, 3)) * SIZE
+    blank = MarkerTracks(
+        np.arange(FRAMES) / 60, np.zeros((FRAMES, 12, 3)), rest, HELD, np.inf, None, np.zeros((0, 4)), GRAVITY
+    )
+    x, tets, _ = box_mesh(SIZE, cells)
+    moving = replace(
+        blank, points=blank.points + rest + np.sin(7 * blank.times)[:, None, None]
+    )  # only to make its cage
+    cage = MaterialProblem(moving, x, tets, material, roll, "truth").cage
+    points = roll(cage, [(material, cage.vertices, 0 * cage.vertices + start)])[:, 0]
+    points += noise * rng.normal(size=points.shape)
+    points[20:26, 3] = np.nan
+    return replace(blank, points=points)
+
+
+def fitted(tracks, cells=(8, 1, 1), asset=ASSET, **known):
+    x, tets, _ = box_mesh(SIZE, cells)
+    problem = MaterialProblem(tracks, x, tets, asset, roll, "clip")
+    return fit_material(problem, no_progress, lambda name, make: make(), mass_known=known.get("mass_known", True))
+
+
+def test_stiffness_and_damping_are_found_and_are_within_their_intervals():
+    found = fitted(tracks_of(TRUE, (8, 1, 1)), mass_known=False)
+    ratio, young, damping = found.numbers
+    assert [n.name for n in found.numbers] == ["young / density", "young", "damping"] and all(
+        n.seen for n in found.numbers
+    )
+    np.testing.assert_allclose(young.played, TRUE.young, rtol=0.02)  # of the same cage
+    np.testing.assert_allclose(damping.played, TRUE.damping, rtol=0.1)
+    assert damping.low < TRUE.damping < damping.high
+    np.testing.assert_allclose(ratio.value * TRUE.density, young.value)
+    assert found.material == replace(ASSET, young=young.played, damping=damping.played)
+    assert found.error < 2 * np.sqrt(3) * found.noise
+
+
+def test_a_coarse_cage_is_corrected_for_its_size():
+    """The truth moves by a finer cage: as it is, the coarse one would need less than nine tenths of its modulus."""
+    found = fitted(tracks_of(TRUE, (24, 5, 5)), cells=(12, 2, 2))
+    young = found.numbers[0]
+    assert young.played < 0.9 * TRUE.young and young.low < TRUE.young < young.high
+    np.testing.assert_allclose(young.value, TRUE.young, rtol=0.15)
+
+
+def test_what_does_not_move_or_moves_unlike_any_material_is_refused():
+    with pytest.raises(BadInput, match="clip: nothing deforms: markers move by"):
+        fitted(tracks_of(replace(TRUE, young=1e9), (8, 1, 1)))
+    tracks = tracks_of(TRUE, (8, 1, 1))
+    shaken = np.cumsum(np.random.default_rng(1).normal(size=(FRAMES, 1, 3)), 0) * 0.01
+    with pytest.raises(BadInput, match="clip: no material moves like this"):
+        fitted(replace(tracks, points=tracks.points + shaken))
+
+
+def test_what_the_clip_does_not_show_is_said_and_stays_as_it_was():
+    """A fifth of a second in 1 mm of noise: an interval that covers a factor of 2.5 is not a number."""
+    tracks = tracks_of(replace(TRUE, damping=0.1), (8, 1, 1), noise=1e-3)
+    short = replace(tracks, times=tracks.times[:13], points=tracks.points[:13])
+    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
+    problem = MaterialProblem(short, x, tets, ASSET, lambda c, q: roll(c, q, short.times), "clip")
+    found = fit_material(problem, no_progress, lambda name, make: make(), mass_known=True)
+    damping = found.numbers[1]
+    assert not damping.seen and found.material.damping == ASSET.damping
+    assert "not visible in this clip" in "\n".join(lines_of(found))
+    page = page_of(found, short, "bar <1>")
+    assert "not visible in this clip" in page and "bar &lt;1&gt;" in page and page.count("<svg") == 4
+
+
+def test_a_candidate_that_explodes_is_not_taken_for_one_that_no_marker_contradicts():
+    def exploding(cage, candidates):
+        stiff = [m.young > 3 * TRUE.young for m, _, _ in candidates]
+        return np.where(np.array(stiff)[:, None, None], np.nan, roll(cage, candidates))
+
+    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
+    problem = MaterialProblem(tracks_of(TRUE, (8, 1, 1)), x, tets, ASSET, exploding, "clip")
+    found = fit_material(problem, no_progress, lambda name, make: make(), mass_known=True)
+    np.testing.assert_allclose(found.numbers[0].played, TRUE.young, rtol=0.02)
+
+
+def test_a_resumed_fit_takes_what_was_kept():
+    tracks, kept = tracks_of(TRUE, (8, 1, 1)), {}
+    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
+    calls = []
+
+    def counting(cage, candidates):
+        calls.append(len(candidates))
+        return roll(cage, candidates)
+
+    def keep(name, make):
+        kept[name] = kept[name] if name in kept else make()
+        return kept[name]
+
+    problem = MaterialProblem(tracks, x, tets, ASSET, counting, "clip")
+    first = fit_material(problem, no_progress, keep, mass_known=True)
+    calls.clear()
+    again = fit_material(problem, no_progress, keep, mass_known=True)
+    assert calls == [3] and again.numbers == first.numbers  # only the curves are drawn anew
+
+
+def sliding(cage, candidates):
+    """Candidates that slide down a slope of 3 in 5 as rigid bodies, whatever they are made of: a = g (0.6 - 0.8 mu)."""
+    times, down = np.arange(FRAMES) / 60, np.array([0.8, -0.6, 0.0])
+    found = []
+    for m, x, v in candidates:
+        way = 0.5 * 9.81 * max(0.6 - 0.8 * m.friction, 0.0) * times**2
+        found.append(cage.markers(x + times[:, None, None] * v + way[:, None, None] * down))
+    return np.stack(found, 1)
+
+
+@pytest.mark.parametrize(("faster", "bent"), [(0.0, 0.0), (0.02, 0.0), (0.0, 2e-3)])
+def test_what_slides_shows_its_friction_but_not_its_stiffness(faster, bent):
+    """Something unknown makes it faster [m/s] after half a second: friction is not known better than to that.
+
+    Or it is hit after 0.3 s and bends by 2 mm as no material explains: then what presses it is not known, and neither
+    is its friction.
+    """
+    rng = np.random.default_rng(0)
+    rest = rng.uniform(0, 1, (12, 3)) * SIZE
+    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
+    planes = np.array([[0.6, 0.8, 0.0, 0.0]])
+    blank = MarkerTracks(np.arange(FRAMES) / 60, np.zeros((FRAMES, 12, 3)), rest, None, np.inf, None, planes, GRAVITY)
+    cage = MaterialProblem(replace(blank, points=blank.points + rest), x, tets, ASSET, sliding, "truth").cage
+    points = sliding(cage, [(replace(TRUE, friction=0.3), x, 0 * x)])[:, 0] + 2e-4 * rng.normal(size=(FRAMES, 12, 3))
+    points += faster * np.maximum(blank.times - 0.5, 0.0)[:, None, None] * [0.8, -0.6, 0.0]
+    points[..., 1] += (
+        bent * np.sin(40 * np.maximum(blank.times - 0.3, 0.0))[:, None] * np.cos(6 * np.pi * rest[:, 0] / SIZE[0])
+    )
+    problem = MaterialProblem(replace(blank, points=points), x, tets, ASSET, sliding, "clip")
+    found = fit_material(problem, no_progress, lambda name, make: make(), mass_known=True)
+    young, damping, friction = found.numbers
+    assert not young.seen and not damping.seen and friction.seen == (bent == 0.0)
+    if bent:
+        assert found.material == ASSET
+        return
+    assert found.material == replace(ASSET, friction=friction.played)
+    assert friction.low < 0.3 < friction.high and friction.high - friction.low < 0.05

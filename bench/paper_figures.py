@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from assets.file_access import atomic_write_all, check_writable, make_folder
+from assets.gaussians import Gaussians
 from bench.bar_figures import (
     DEFORMATIONS,
     FRAME,
@@ -40,11 +41,14 @@ from display.picture import pixels_of
 from display.protocol import Frame
 from display.timing import run_stats
 from display.world import World
+from prepare.blending_weights import BlendingWeights
 from prepare.inpaint import inpaint_pipeline as pipeline
 from prepare.inpaint.hole_patch import compare, cut_out, uncovered_psnr
-from prepare.segment.object_ids import identified, masks_of
+from prepare.room_capture import room_pipeline
+from prepare.segment.object_ids import identified, masks_of, trained_alone
+from prepare.train.capture import View
 from prepare.train.capture_files import read_capture
-from prepare.train.photographs import load_photograph, load_photographs
+from prepare.train.photographs import OPAQUE, load_photograph, load_photographs, read_mask
 from prepare.train.seeds import first_gaussians
 from prepare.train.train_options import CAPS, TrainOptions
 from prepare.train.trainer import Trainer
@@ -313,18 +317,34 @@ def inpainting_section(folder: Path | None, results: dict, *, quick: bool) -> Se
     refused = "".join(f" Not closed: {row['refused']}." for row in rows.values() if "refused" in row)
     closed = {name: row for name, row in rows.items() if "refused" not in row}
     pictures = {f"{name}: photograph, taken out, inpainted, truth": row.pop("picture") for name, row in closed.items()}
+    pictures |= {f"{name}, turned; below, the truth": row.pop("turned_picture") for name, row in closed.items()}
     results["inpainting"] = {"steps": steps, "objects": rows}
     table = [
-        (name, *(f"{row['psnr'][when]:.1f} dB" for when in ("before", "after")), f"{1e4 * row['area']:.0f} cm²")
+        (name, *(f"{row['psnr'][when]:.1f} dB" for when in ("before", "after")), f"{1e4 * row['area']:.0f} cm²",
+         *(f"{row['turned'][what]:.1f} dB" for what in ("photographed", "unseen")),
+         *(f"{row['turned'][what]:.1%}" for what in ("holes", "outside")))
         for name, row in closed.items()
     ]  # fmt: skip
     return Section(
         "Inpainting",
         text,
         pictures,
-        Table(("object", "PSNR, taken out", "PSNR, inpainted", "seen by no camera"), table),
+        Table(
+            (
+                "object",
+                "PSNR, taken out",
+                "PSNR, inpainted",
+                "seen by no camera",
+                "PSNR, turned, of photographed sides",
+                "of others",
+                "holes",
+                "drawn outside of it",
+            ),
+            table,
+        ),
         f"{steps:,} steps of training. PSNR: against the scene without the object, over the pixels that it covered, in "
-        "all views. The object's shadow is taken away with it." + refused,
+        "all views. The object's shadow is taken away with it. Turned: the object alone, as it is seen when turned by "
+        "90° about two axes; shares of the pixels that it covers then." + refused,
     )
 
 
@@ -337,11 +357,9 @@ def measured_objects(folder: Path, steps: int, objects: int | None) -> dict[str,
     for number, name in enumerate(gaussians.objects[:objects], 1):
         _told(f"without the {name}")
         own = gaussians.object_id == number
-        cameras = [p.camera for p in photographs]
-        parts = gaussians.select(~own), {name: gaussians.select(own)}
+        before, removed = gaussians.select(~own), gaussians.select(own)
         try:
-            before, objects = pipeline.without_supports(*parts, cameras)
-            after, (hole,) = pipeline.inpaint(before, objects, cameras)
+            after, (hole,) = pipeline.inpaint(before, {name: removed}, [p.camera for p in photographs])
         except BadInput as e:  # a small capture's splat is rough
             _told(str(e))
             found[name] = {"refused": str(e)}
@@ -354,9 +372,40 @@ def measured_objects(folder: Path, steps: int, objects: int | None) -> dict[str,
             "new": len(hole.patch),
             "area": hole.area,
             "psnr": uncovered_psnr(views)["object"],
+            **dict(zip(("turned", "turned_picture"), turned(removed, turned_views(folder, name)), strict=True)),
             "picture": _strip(max(views, key=lambda v: int(v.hole.sum() or v.covered.sum())), photographs),
         }
     return found
+
+
+def turned_views(folder: Path, name: str) -> list[View]:
+    """Views of an object of a modelled capture alone, from around and below, in the frame of the upright capture; their
+    masks tell what photographs show of it."""
+    return replace(read_capture(folder), test=read_capture(folder / "turned" / name).views).upright().test
+
+
+def turned(gaussians: Gaussians, views: list[View]) -> tuple[dict[str, float], np.ndarray]:
+    """How an object looks that is turned, beside the truth, and pictures of it over the truth's, (H, W, 3) uint8.
+
+    photographed, unseen  PSNR [dB] over black of its pixels that photographs show, and of the others
+    holes, outside        pixels of it with an opacity below a half, and of its surroundings above, as shares of its own
+    """
+    errors, counts, pictures = {"photographed": [], "unseen": []}, np.zeros(3), []
+    drawing = BlendingWeights(gaussians)
+    for view in views:
+        truth = load_photograph(replace(view, mask=None))
+        seen = read_mask(view.mask, truth.alpha.shape)
+        color, _, alpha = drawing.picture(truth.camera)
+        there, square = truth.alpha > OPAQUE, (color.clip(0.0, 1.0) - truth.pixels / 255) ** 2
+        errors["photographed"].append(square[there & seen])
+        errors["unseen"].append(square[there & ~seen])
+        counts += (there & (alpha < 0.5)).sum(), ((truth.alpha == 0) & (alpha > 0.5)).sum(), there.sum()
+        pictures.append(np.concatenate([(255 * color.clip(0.0, 1.0)).round().astype(np.uint8), truth.pixels]))
+    drawing.destroy()
+    found = {name: float(-10 * np.log10(np.concatenate(squares).mean())) for name, squares in errors.items()}
+    return found | dict(zip(("holes", "outside"), counts[:2] / counts[2], strict=True)), np.concatenate(
+        pictures, axis=1
+    )
 
 
 def _trained(folder: Path, steps: int) -> tuple:
@@ -370,9 +419,9 @@ def _trained(folder: Path, steps: int) -> tuple:
         trainer.step()
         if trainer.done % max(steps // 4, 1) == 0:
             _told(f"training, step {trainer.done} of {steps}, PSNR {trainer.recent_loss().psnr:.1f} dB")
-    gaussians = identified(trainer)
+    gaussians = room_pipeline.without_supports(identified(trainer), capture)
     trainer.destroy()
-    return capture, photographs, gaussians
+    return capture, photographs, trained_alone(gaussians, capture, photographs)
 
 
 def _strip(view, photographs) -> np.ndarray:

@@ -45,11 +45,11 @@ from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import Marks, marks_json, read_marks
 from prepare.segment.mask_files import read_masks
 from prepare.segment.mask_propagation import propagate_marks
-from prepare.segment.object_ids import learned_objects, masks_beside
+from prepare.segment.object_ids import learned_objects, masks_beside, masks_of, trained_alone
 from prepare.train.capture import Capture
 from prepare.train.photographs import image_size, load_photographs
 
-STAGES = ("train", "cameras", "objects", "cages", "inpaint", "room")
+STAGES = ("train", "objects", "cameras", "cages", "inpaint", "room")
 MARKS = "marks.json"  # beside the photographs
 Say = Callable[[str], None]
 Bodies = list[tuple[Asset, RoomObject]]
@@ -63,8 +63,8 @@ WORK = {
     "frames": "the sharpest frames of the video",
     "poses": "where each photograph was taken",
     "train": "Gaussians",
-    "cameras": "what each photograph needs of them",
     "objects": "masks from marks; the object of each Gaussian",
+    "cameras": "what each photograph needs of them",
     "cages": "a body for each object",
     "inpaint": "what the objects hid",
     "room": "the collider",
@@ -160,8 +160,8 @@ class RoomMaking:
     def make(self) -> None:
         """All stages. Raises BadInput."""
         self.train()
-        found = self.look()
         self.segment()
+        found = self.look()
         scale = self.length and self.length.scale(self.gaussians, self.capture, self.turn)
         room = room_pipeline.placed_room(self.gaussians, self.capture, found, scale)
         for line in room.orientation.described():
@@ -232,12 +232,16 @@ class RoomMaking:
             return
 
         def make(folder: Path) -> None:
-            known, views, reduce = g, self.capture.views, self.reduce
-            if self.marks is not None:
-                masks = propagate_marks(self.capture, load_photographs(views, reduce), self.marks, g, progress)
-                photographs = load_photographs(views, reduce, masks.ids)
-                known = learned_objects(g, self.capture, photographs, masks.names, progress)
-            write_gaussians(folder / "objects.ply", room_pipeline.without_supports(known, self.capture, progress))
+            known, capture, reduce = g, self.capture, self.reduce
+            if self.marks is None:
+                capture, masks = masks_of(capture, self.masks, self.say)
+                photographs = load_photographs(capture.views, reduce, masks.ids)
+            else:
+                masks = propagate_marks(capture, load_photographs(capture.views, reduce), self.marks, g, progress)
+                photographs = load_photographs(capture.views, reduce, masks.ids)
+                known = learned_objects(g, capture, photographs, masks.names, progress)
+            known = room_pipeline.without_supports(known, capture, progress)
+            write_gaussians(folder / "objects.ply", trained_alone(known, capture, photographs, progress))
 
         inputs = {"marks": None if self.marks is None else marks_json(self.marks)}
         done = self.stages.run("objects", inputs, make, self.source)

@@ -2,7 +2,7 @@
 
 python -m studio ring_red
 python -m studio --detail paper ring_toss
-python -m studio --capture toys/          photographs, poses, masks, depths, and what is behind each toy
+python -m studio --capture toys/          photographs, poses, masks, depths, what is behind each toy, its other sides
 """
 
 from __future__ import annotations

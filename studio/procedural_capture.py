@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ from studio.shapes import Surface, beveled_box, box, join, rotation_about, super
 from studio.stroke_marks import two_strokes
 from studio.textures import BEECH, wood
 from studio.toy_meshes import creature_surfaces
-from studio.traced_scene import Picture, Shape, TracedScene, camera_rays, take_picture
+from studio.traced_scene import OFFSET, Picture, Shape, TracedScene, camera_rays, take_alone, take_picture
 
 TABLE_AT, TABLE_SIZE = (0.0, 0.52, -0.25), (1.16, 0.035, 0.74)  # [m] middle of its top, and the board
 OBJECTS = ("teddy", "duck", "parcel", "ball", "ring")
@@ -52,6 +53,9 @@ RADII, HEIGHTS = (0.95, 1.35), (0.22, 0.85)  # [m] of the cameras: from the tabl
 AIM = (0.0, 0.06, 0.0)  # [m] from the middle of the table's top
 FOV_Y = 50.0  # [degrees]
 CUT_OUT_RADIUS = 1.3  # [m] of the hemisphere from which toys on transparent ground are seen
+TURNS = ("x", "z")  # axes about which an object is turned by 90 degrees, to be looked at alone
+TURNED_VIEWS, TURNED_HEIGHT = 4, 0.4  # of each turn: around it, and their height over their distance
+SEEN_MIN, SEEN_COSINE = 3, 0.25  # least photographs that show what was photographed, and the cosine at which they do
 FULL_HEIGHT = 360  # [px] of a picture for which models and light are as fine as they get
 FINE_MIN = 0.15
 SPARSE_POINTS = 6000
@@ -199,12 +203,61 @@ def _write(folder: Path, options: CaptureOptions, report: Callable[[str], None])
     points, paint = _sparse_points(scene, views, colors, rng)
     _write_points(folder / "sparse_pc.ply", scale * points @ turn.T, paint)
     _write_json(folder / "truth.json", _truth(scene, objects, options, turn))
+    for k, name in enumerate(OBJECTS, 1):
+        _write_turned(folder / "turned" / name, k, scene, views, options)
+
+
+def _write_turned(folder: Path, k: int, scene: TracedScene, views: list[Camera], options: CaptureOptions) -> None:
+    """Write a Blender dataset of object k alone, in the light in which it was photographed, as it is seen when turned
+    by each of TURNS; masks tell the pixels that photographs show.
+
+    The cameras turn, the other way, and not the object: the pictures are the same.
+    """
+    (folder / "photographed").mkdir(parents=True)
+    turn, scale = AXES[options.up], options.scale
+    own = scene.vertices[scene.faces[scene.owner == k]].reshape(-1, 3)
+    middle, distance = 0.5 * (own.min(axis=0) + own.max(axis=0)), float(np.mean(RADII))
+    focal, frames = views[0].fy, []
+    side = 2 * round(focal * np.linalg.norm(own - middle, axis=1).max() / distance) + 8
+    for axis, j in product(TURNS, range(TURNED_VIEWS)):
+        around, back = 2.0 * np.pi * (j + 0.5) / TURNED_VIEWS, np.eye(4)
+        way = np.array([np.sin(around), TURNED_HEIGHT, np.cos(around)])
+        back[:3, :3] = rotation_about(axis, 90.0)
+        back[:3, 3] = middle - back[:3, :3] @ middle
+        pose = look_at(middle + distance / np.linalg.norm(way) * way, middle) @ back
+        camera, name = perspective(side, side, 2 * np.arctan(side / 2 / focal), pose), f"{axis}{j + 1}.png"
+        _write_cut_out_picture(folder / name, *take_alone(scene, camera, options.side, k), options.side)
+        _write_image(folder / "photographed" / name, 255 * _photographed(scene, camera, views, k).astype(np.uint8))
+        files = {"file_path": name, "mask_path": f"photographed/{name}"}
+        frames.append(files | {"transform_matrix": _pose(camera, turn, scale)})
+    angle = 2.0 * float(np.arctan(side / 2 / focal))
+    _write_json(folder / "transforms.json", {"camera_angle_x": angle, "frames": frames})
+
+
+def _photographed(scene: TracedScene, camera: Camera, views: list[Camera], k: int) -> np.ndarray:
+    """Mask (H, W) of the pixels of object k alone that SEEN_MIN of the photographs show, not from too far aside."""
+    origins, d = camera_rays(camera)
+    hits = scene.hits(origins, d, only=k)
+    there = np.isfinite(hits.distance)
+    points = (origins + np.where(there, hits.distance, 0.0)[:, None] * d)[there]
+    normals = np.einsum("nk,nkc->nc", hits.weights, scene.normals[scene.faces[hits.face]])[there]
+    count = np.zeros(len(points), int)
+    for view in views:
+        way = points - view.position
+        far = np.linalg.norm(way, axis=1)
+        way /= far[:, None]
+        local = way @ view.world_to_camera[:3, :3].T
+        x, y = (view.fx * local[:, 0] / local[:, 2] + view.cx, view.fy * local[:, 1] / local[:, 2] + view.cy)
+        inside = (local[:, 2] > 0) & (x > 0) & (x < view.width) & (y > 0) & (y < view.height)
+        clear = scene.hits(np.broadcast_to(view.position, way.shape), way).distance > far - OFFSET
+        count += inside & clear & (-(way * normals).sum(axis=1) > SEEN_COSINE)
+    shown = np.zeros(len(d), bool)
+    shown[there] = count >= SEEN_MIN
+    return shown.reshape(camera.height, camera.width)
 
 
 def _write_cut_out(folder: Path, options: CaptureOptions, report: Callable[[str], None]) -> None:
     """Write the toys on transparent ground, seen from a hemisphere, in the layout of Blender's datasets."""
-    import cv2
-
     rng = np.random.default_rng(options.seed)
     fine = float(np.clip(options.size[1] / FULL_HEIGHT, FINE_MIN, 1.0))
     shapes = [s for parts, _, _ in placed_objects(rng, fine).values() for s in parts]
@@ -220,13 +273,23 @@ def _write_cut_out(folder: Path, options: CaptureOptions, report: Callable[[str]
             target = np.array(TABLE_AT) + AIM
             camera = perspective(width, height, np.radians(FOV_Y), look_at(target + CUT_OUT_RADIUS * way, target))
             picture = take_picture(scene, camera, options.side)
-            color = picture.pixels / np.maximum(picture.alpha, 0.5 / options.side**2)[..., None]
-            rgba = np.dstack([color[..., ::-1], 255 * picture.alpha]).round().clip(0, 255).astype(np.uint8)
-            (folder / part / f"r_{k}.png").write_bytes(cv2.imencode(".png", rgba)[1].tobytes())
+            _write_cut_out_picture(folder / part / f"r_{k}.png", picture.pixels, picture.alpha, options.side)
             frames.append({"file_path": f"./{part}/r_{k}", "transform_matrix": _pose(camera, turn, scale)})
         angle = 2.0 * float(np.arctan(0.5 * width / camera.fx))
         _write_json(folder / f"transforms_{part}.json", {"camera_angle_x": angle, "frames": frames})
         report(f"{count} pictures to {part}")
+
+
+def _write_cut_out_picture(path: Path, pixels: np.ndarray, alpha: np.ndarray, side: int) -> None:
+    """Write a picture (H, W, 3) over black, 0..255, of `side` squared rays a pixel, with its opacity (H, W), 0..1."""
+    color = pixels / np.maximum(alpha, 0.5 / side**2)[..., None]
+    _write_image(path, np.dstack([color[..., ::-1], 255 * alpha]).round().clip(0, 255).astype(np.uint8))
+
+
+def _write_image(path: Path, pixels: np.ndarray) -> None:
+    import cv2
+
+    path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes())
 
 
 def _pose(camera: Camera, turn: np.ndarray, scale: float) -> list:
@@ -238,13 +301,11 @@ def _pose(camera: Camera, turn: np.ndarray, scale: float) -> list:
 
 
 def _write_pictures(folder: Path, name: str, picture: Picture) -> None:
-    import cv2
-
     depth = (1000.0 * np.where(np.isfinite(picture.depth), picture.depth, 0.0)).round().clip(0, 65535)
     files = {"images": picture.pixels[..., ::-1], "depth": depth.astype(np.uint16)}
     files |= {f"behind/{OBJECTS[k - 1]}": pixels[..., ::-1] for k, pixels in picture.without.items()}
     for place, pixels in files.items():
-        (folder / place / name).write_bytes(cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes())
+        _write_image(folder / place / name, pixels)
 
 
 def _sparse_points(scene: TracedScene, views: list[Camera], colors, rng) -> tuple[np.ndarray, np.ndarray]:

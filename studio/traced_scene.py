@@ -69,14 +69,14 @@ class TracedScene:
         self.faces = np.concatenate([p[2] + c for p, c in zip(parts, counts, strict=True)])
         self.shape = np.repeat(np.arange(len(parts)), [len(p[2]) for p in parts])
         self.owner = np.array([s.object_id for s in shapes])[self.shape]
-        self._scenes: dict[int, tuple] = {}
+        self._scenes: dict[tuple[int, int], tuple] = {}
         self._tint = np.array([s.surface.albedo(*self._middle(k)).mean(0) for k, s in enumerate(shapes)])
         self._tint *= np.array([self._albedo[self.faces[self.shape == k, 0]].mean(0) for k in range(len(shapes))])
         self._bake(round(RAYS * fine))
 
-    def hits(self, origins: np.ndarray, directions: np.ndarray, without: int = 0) -> Hits:
-        """First hits of rays (N, 3) with unit directions, the object `without` taken away (0: none)."""
-        scene, index = self._scene(without)
+    def hits(self, origins: np.ndarray, directions: np.ndarray, without: int = 0, *, only: int = 0) -> Hits:
+        """First hits of rays (N, 3) with unit directions; `without` an object, or of `only` one (0: none)."""
+        scene, index = self._scene(without, only)
         distance, face, weights = [], [], []
         for k in range(0, len(origins), RAY_BATCH):
             rays = np.concatenate([origins[k : k + RAY_BATCH], directions[k : k + RAY_BATCH]], 1).astype(np.float32)
@@ -92,7 +92,7 @@ class TracedScene:
     def prepare(self, without: Sequence[int]) -> None:
         """Get ready for pictures without these objects, so that several threads may take them."""
         for k in (0, *without):
-            self._scene(k)
+            self._scene(k, 0)
             self._light_without(k)
 
     def owner_of(self, hits: Hits) -> np.ndarray:
@@ -118,14 +118,14 @@ class TracedScene:
         """Irradiance over pi (N, 3) at hits, with the object `without` taken away."""
         return np.einsum("nk,nkc->nc", hits.weights, self._light_without(without)[self.faces[hits.face]])
 
-    def _scene(self, without: int) -> tuple:
+    def _scene(self, without: int, only: int) -> tuple:
         """Ray-casting scene, and the face of each of its triangles."""
-        if without not in self._scenes:
-            index = np.flatnonzero(self.owner != without) if without else np.arange(len(self.faces))
+        if (without, only) not in self._scenes:
+            index = np.flatnonzero((self.owner == only) if only else (self.owner != (without or -1)))
             scene, tensor = self._o3d.t.geometry.RaycastingScene(), self._o3d.core.Tensor
             scene.add_triangles(tensor(self.vertices.astype(np.float32)), tensor(self.faces[index].astype(np.uint32)))
-            self._scenes[without] = (scene, index)
-        return self._scenes[without]
+            self._scenes[without, only] = (scene, index)
+        return self._scenes[without, only]
 
     def _middle(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Points on a shape and normals there, (N, 3) each."""
@@ -255,9 +255,7 @@ def take_picture(scene: TracedScene, camera: Camera, side: int, without: Sequenc
     hits = scene.hits(origins, d)
     depth = hits.distance * (d @ camera.world_to_camera[2, :3])
     ids = scene.owner_of(hits).astype(np.uint8)
-    steps = (np.arange(side) + 0.5) / side - 0.5
-    offsets = [(dx + dy / side, dy - dx / side) for dy in steps for dx in steps]  # sheared: edges meet all of them
-    origins, d = (np.concatenate(parts) for parts in zip(*(camera_rays(camera, *o) for o in offsets), strict=True))
+    origins, d = _fine_rays(camera, side)
     hits = scene.hits(origins, d)
     albedo, emitted = scene.albedo(hits)
     owner = scene.owner_of(hits)
@@ -278,6 +276,24 @@ def take_picture(scene: TracedScene, camera: Camera, side: int, without: Sequenc
     alpha = np.isfinite(hits.distance).reshape(side**2, *shape).mean(axis=0)
     seen = mean(albedo * scene.light(hits) + emitted)
     return Picture(seen, ids.reshape(shape), depth.reshape(shape), pictures, alpha)
+
+
+def take_alone(scene: TracedScene, camera: Camera, side: int, only: int) -> tuple[np.ndarray, np.ndarray]:
+    """One object in the light of the scene, but with nothing before it or behind: its picture (H, W, 3) over black,
+    0..255, and the share (H, W) of each pixel that it covers, 0..1."""
+    hits = scene.hits(*_fine_rays(camera, side), only=only)
+    albedo, emitted = scene.albedo(hits)
+    parts = tone_map(albedo * scene.light(hits) + emitted, EXPOSURE), np.isfinite(hits.distance)[:, None]
+    shown, alpha = (p.reshape(side**2, camera.height, camera.width, -1) for p in parts)
+    return 255 * (shown * alpha).mean(axis=0), alpha[..., 0].mean(axis=0)
+
+
+def _fine_rays(camera: Camera, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and directions (side^2 H W, 3) of `side` squared rays a pixel, picture by picture."""
+    steps = (np.arange(side) + 0.5) / side - 0.5
+    offsets = [(dx + dy / side, dy - dx / side) for dy in steps for dx in steps]  # sheared: edges meet all of them
+    origins, d = zip(*(camera_rays(camera, *o) for o in offsets), strict=True)
+    return np.concatenate(origins), np.concatenate(d)
 
 
 def join_hits(parts: list[Hits]) -> Hits:

@@ -73,9 +73,10 @@ def without_supports(gaussians: Gaussians, capture: Capture, progress: Progress 
 
 
 def placed_room(gaussians: Gaussians, capture: Capture, found: Contributions, scale: float | None) -> PlacedRoom:
-    """The room in metres, pruned; `scale`: measured metres per unit of the capture, None: guessed."""
+    """The room in metres, pruned but for objects, which also have sides that no photograph shows; `scale`: measured
+    metres per unit of the capture, None: guessed."""
     cameras = capture.cameras()
-    keep = needed(gaussians, cameras, found)
+    keep = needed(gaussians, cameras, found) | (gaussians.object_id > 0)
     gaussians, weight = gaussians.select(keep), found.weight[keep]
     o = capture_orientation(capture, gaussians, scale)
     placed = [replace(c, world_to_camera=o.pose(c.world_to_camera)) for c in cameras]

@@ -1,4 +1,4 @@
-"""Object ids of trained Gaussians: from their labels and a vote of neighbours; IoU with masks; splitting by object."""
+"""Object ids of trained Gaussians by labels and a vote of neighbours; IoU with masks; objects by themselves."""
 
 from __future__ import annotations
 
@@ -7,23 +7,29 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import binary_dilation, binary_erosion, label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from assets.gaussians import Gaussians, Report
+from assets.gaussians import Gaussians, Report, concatenate
 from core.errors import BadInput
+from prepare.blending_weights import BlendingWeights
 from prepare.progress import Progress, no_progress
 from prepare.segment.mask_files import VIEWS_MIN, Masks, read_masks
 from prepare.train.capture import Capture
-from prepare.train.object_labels import nearest_label
-from prepare.train.photographs import Photograph
+from prepare.train.densification import logit
+from prepare.train.object_labels import UNKNOWN, nearest_label
+from prepare.train.photographs import Photograph, over
 from prepare.train.train_options import TrainOptions
 from prepare.train.trainer import Trainer
 
 BACKGROUND = "background"  # name of the part that belongs to no object
 NEIGHBOURS = 16  # that vote on a Gaussian
-LEARNING_STEPS = 400  # of labels alone; some 50 that see a Gaussian move its label from the background to an object
+FURTHER_STEPS = 400  # of a training that goes on; some 50 that see a Gaussian move its label to an object
+SOLID = 0.5  # opacity from which a pixel shows a surface
+CELLS, BOUNDS = 24, (1.5, 98.5)  # cells along an object, between percentiles of its Gaussians' places
+NEAREST, WIDTH = 6, 0.6  # Gaussians that tell the colour of a hidden side; standard deviation there, in cells
 
 
 def masks_beside(capture: Capture, report: Report) -> Path | None:
@@ -89,18 +95,113 @@ def learned_objects(
 ) -> Gaussians:
     """Learn the objects in the photographs' masks by a short further training with L_seg: returns the Gaussians with
     ids and names. Their number stays; those at the borders of objects adapt. Taichi must be running."""
-    trained = {"degree": g.sh_degree, "sort": g.sort or "radial", "antialias": g.antialias}
-    options = TrainOptions(steps=LEARNING_STEPS, cap=len(g), free_space=False, **trained)
-    trainer = Trainer(photographs, g, capture.extent, options, names)
+    trainer = _further(g, capture, photographs, names)
     trainer.rates = replace(trainer.rates, mean=trainer.rates.mean_end)  # as at the end of the first training
-    while trainer.done < options.steps:
-        trainer.step()
-        if trainer.done % 10 == 0:
-            trainer.recent_loss()  # waits for the device
-            progress("masks", trainer.done / options.steps)
+    _run(trainer, "masks", progress)
     found = identified(trainer)
     trainer.destroy()
     return replace(found, view=g.view)
+
+
+def trained_alone(
+    g: Gaussians, capture: Capture, photographs: list[Photograph], progress: Progress = no_progress
+) -> Gaussians:
+    """The Gaussians, those of objects last, with closed hidden sides, after a short further training of the objects
+    without the others, over ground of random colours: what the background hides of them or adds to them shows once they
+    are moved. Taichi must be running.
+
+    photographs  with the ids of what they show; the others are left out
+    """
+    own = g.object_id > 0
+    targets, depths = objects_alone(g.select(own), g.select(~own), [p for p in photographs if p.objects is not None])
+    if not targets:
+        return g
+    parts = [g.select(g.object_id == k) for k in np.unique(g.object_id[own])]
+    whole = concatenate([*parts, *(hidden_sides(part, targets, depths) for part in parts)])
+    trainer = _further(whole, capture, targets, ())
+    trainer.strategy.fading = 0.0  # nothing is pruned
+    _run(trainer, "objects alone", progress)
+    found = replace(trainer.gaussians(), object_id=whole.object_id, objects=g.objects)
+    trainer.destroy()
+    return replace(concatenate([g.select(~own), found]), view=g.view)
+
+
+def objects_alone(
+    own: Gaussians, rest: Gaussians, photographs: Sequence[Photograph]
+) -> tuple[list[Photograph], list[np.ndarray]]:
+    """Photographs of objects on transparent ground, by their masks, and the depth (H, W) of what each shows.
+
+    Pixels do not count along a mask's border, which mix colours; where the `rest` stands before an object; and where
+    the object is not drawn: what its mask took of something else is no part of it any more.
+    """
+    cameras = [p.camera for p in photographs]
+    drawings, found, depths = [BlendingWeights(part, cameras) for part in (own, rest)], [], []
+    for p in photographs:
+        (_, depth, alpha), (_, rest_depth, rest_alpha) = (drawing.picture(p.camera) for drawing in drawings)
+        inside, drawn = p.objects > 0, alpha > SOLID
+        depth, rest_depth = np.where(drawn, depth, np.inf), np.where(rest_alpha > SOLID, rest_depth, np.inf)
+        border = binary_dilation(inside) & binary_dilation(~inside)
+        counts = np.where(inside, drawn, ~binary_dilation(drawn & (rest_depth < depth)))
+        counts &= p.mask & (p.objects != UNKNOWN) & ~border
+        if counts.any():
+            alpha = 255 * inside.astype(np.uint8)
+            found.append(Photograph(over(p.pixels, alpha), counts, p.camera, p.objects, alpha))
+            depths.append(np.minimum(depth, rest_depth))
+    for drawing in drawings:
+        drawing.destroy()
+    return found, depths
+
+
+def hidden_sides(part: Gaussians, photographs: Sequence[Photograph], depths: Sequence[np.ndarray]) -> Gaussians:
+    """Gaussians over the sides of an object that no photograph shows, in the colours of those nearest to them.
+
+    The object is what photographs do not show to be empty, and most show as the object; of that the largest piece. Its
+    cells at the border that no photograph shows become Gaussians. depths: (H, W) of what each photograph shows.
+    """
+    opaque = part.opaque()
+    low, high = np.percentile(opaque.means.astype(np.float64), BOUNDS, axis=0)
+    cell = (high - low).max() / CELLS
+    shape = tuple(np.ceil((high - low) / cell).astype(int) + 1)
+    points = low + cell * np.indices(shape).reshape(3, -1).T
+    empty, seen, shown, as_object = (np.zeros(len(points), int) for _ in range(4))
+    for p, depth in zip(photographs, depths, strict=True):
+        x, y, z = p.camera.projected(points)
+        rows = np.flatnonzero((z > 0) & (x >= 0) & (x < p.camera.width) & (y >= 0) & (y < p.camera.height))
+        pixels, z = (y[rows].astype(int), x[rows].astype(int)), z[rows]
+        rows, pixels, z = rows[known := p.objects[pixels] != UNKNOWN], tuple(a[known] for a in pixels), z[known]
+        inside, there = p.objects[pixels] == part.object_id[0], depth[pixels]
+        empty[rows] += there > z
+        seen[rows] += inside & (np.abs(there - z) < 2 * cell)
+        as_object[rows] += inside
+        shown[rows] += 1
+    pieces, count = label(((empty == 0) & (2 * as_object > shown)).reshape(shape))
+    solid = pieces == 1 + np.argmax(np.bincount(pieces.ravel(), minlength=count + 1)[1:]) if count else pieces > 0
+    places = points[(solid & ~binary_erosion(solid)).ravel() & (seen == 0)]
+    if not len(places):
+        return part.select(slice(0))
+    away, near = cKDTree(opaque.means).query(places, k=min(NEAREST, len(opaque)))
+    away, near = away.reshape(len(places), -1), near.reshape(len(places), -1)
+    weight = 1.0 / np.maximum(away, cell) ** 2
+    sh = np.zeros((len(places), *part.sh.shape[1:]))
+    sh[:, 0] = np.einsum("nk,nkc->nc", weight / weight.sum(axis=1, keepdims=True), opaque.sh[near, 0])
+    quats, scales = np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)), np.full((len(places), 3), np.log(WIDTH * cell))
+    ids = np.full(len(places), part.object_id[0], np.uint16)
+    return Gaussians.of(places, quats, scales, np.full(len(places), logit(0.9)), sh, ids, part.objects)
+
+
+def _further(g: Gaussians, capture: Capture, photographs: list[Photograph], names: Sequence[str]) -> Trainer:
+    """A short training of all that is learned of Gaussians that were trained before."""
+    trained = {"degree": g.sh_degree, "sort": g.sort or "radial", "antialias": g.antialias}
+    options = TrainOptions(steps=FURTHER_STEPS, cap=len(g), free_space=False, **trained)
+    return Trainer(photographs, g, capture.extent, options, names)
+
+
+def _run(trainer: Trainer, what: str, progress: Progress) -> None:
+    while trainer.done < trainer.options.steps:
+        trainer.step()
+        if trainer.done % 10 == 0:
+            trainer.recent_loss()  # waits for the device
+            progress(what, trainer.done / trainer.options.steps)
 
 
 def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The procedural capture: what its files say agrees with each other and with the models."""
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -112,6 +113,24 @@ def test_behind_an_object_is_what_other_pictures_show_around_it(folder):
         change = np.abs(shown - behind).max(axis=2)
         far = ~cv2.dilate(own.astype(np.uint8), np.ones((41, 41))).astype(bool)
         assert change[own].mean() > 20 and np.percentile(change[far], 98) <= 3
+
+
+def test_the_other_sides_of_an_object_are_seen_where_it_stood(folder):
+    """The ball is a disc about its centre, whichever way it is turned, photographed but for its underside."""
+    pose = np.array(truth(folder)["objects"]["ball"]["world_from_object"])
+    centre, shares = pose[:3, 3] + SCALE * RADIUS * pose[:3, 1], []
+    for view in read_capture(folder / "turned" / "ball").views:
+        p, camera = load_photograph(replace(view, mask=None)), view.camera()
+        x, y, z = camera.projected(centre[None])
+        radius = camera.fx * SCALE * RADIUS / np.sqrt(z[0] ** 2 - (SCALE * RADIUS) ** 2)
+        v, u = np.nonzero(p.alpha > 127)
+        assert_allclose([u.mean() + 0.5, v.mean() + 0.5], [x[0], y[0]], atol=0.3)
+        assert_allclose(len(u), np.pi * radius**2, rtol=0.1)
+        assert_allclose(np.linalg.norm(view.position - centre), SCALE * 1.15, rtol=1e-6)
+        seen = cv2.imread(str(view.mask), cv2.IMREAD_GRAYSCALE) > 0
+        assert not (seen & (p.alpha == 0)).any() and p.pixels[p.alpha == 255].mean() > 40
+        shares.append(seen.sum() / len(u))
+    assert min(shares) < 0.3 and max(shares) > 0.6  # from below, and from above
 
 
 def test_the_table_bears_the_objects(folder):

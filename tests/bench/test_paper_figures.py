@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,9 @@ import pytest
 from bench import paper_figures
 from bench.bar_figures import TwistedBar, crossing_frequency
 from core.report import Section
+from prepare.train.capture import Lens, View
+from tests.support import painted_capture
+from tests.support import reference_render as reference
 from vrgs import main
 
 
@@ -78,12 +82,36 @@ def test_the_quick_page_is_whole(tmp_path):
 
 def test_an_object_that_cannot_be_inpainted_is_named(monkeypatch):
     picture = np.zeros((4, 16, 3), np.uint8)
-    closed = {"psnr": {"before": 20.0, "after": 25.0}, "area": 0.01, "picture": picture}
+    seen = {"photographed": 28.0, "unseen": 19.0, "holes": 0.01, "outside": 0.02}
+    closed = {"psnr": {"before": 20.0, "after": 25.0}, "area": 0.01, "turned": seen}
+    closed |= {"picture": picture, "turned_picture": picture}
     rows = {"duck": closed, "ball": {"refused": "ball: no camera sees it"}}
     monkeypatch.setattr(paper_figures, "measured_objects", lambda folder, steps, objects: rows)
     section = paper_figures.inpainting_section(Path(), {}, quick=False)
-    assert len(section.pictures) == 1 and section.note.endswith("Not closed: ball: no camera sees it.")
-    assert section.table.rows == [("duck", "20.0 dB", "25.0 dB", "100 cm²")]
+    assert len(section.pictures) == 2 and section.note.endswith("Not closed: ball: no camera sees it.")
+    assert section.table.rows == [("duck", "20.0 dB", "25.0 dB", "100 cm²", "28.0 dB", "19.0 dB", "1.0%", "2.0%")]
+
+
+def test_a_turned_object_is_compared_with_pictures_of_it_alone(ti_cpu, tmp_path):
+    """As it is it agrees; without a third of its Gaussians it has holes, and twice as wide it is drawn outside."""
+    painted, views = replace(painted_capture.painted_gaussians(), sort="z"), []
+    for k, camera in enumerate(painted_capture.cameras()[:4]):
+        color, alpha, _ = reference.render(painted, camera)
+        color = color / np.maximum(alpha, 1e-3)[..., None]
+        rgba = np.dstack([color[..., ::-1], alpha]).clip(0.0, 1.0)
+        seen = np.arange(camera.width) < camera.width // 2
+        cv2.imwrite(str(tmp_path / f"{k}.png"), (255 * rgba).round().astype(np.uint8))
+        cv2.imwrite(str(tmp_path / f"m{k}.png"), np.tile(255 * seen.astype(np.uint8), (camera.height, 1)))
+        lens = Lens(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        views.append(View(tmp_path / f"{k}.png", lens, camera.world_to_camera, tmp_path / f"m{k}.png", cut_out=True))
+    found, picture = paper_figures.turned(painted, views)
+    assert found["photographed"] > 40 and found["unseen"] > 40 and found["holes"] == found["outside"] == 0
+    assert picture.shape == (2 * painted_capture.SIDE, 4 * painted_capture.SIDE, 3)
+    half = replace(painted, sh=painted.sh * (painted.means[:, :1, None] < 0.0))  # grey on one side: both halves suffer
+    assert paper_figures.turned(half, views)[0]["photographed"] < 25
+    assert paper_figures.turned(painted.select(np.arange(len(painted)) % 3 > 0), views)[0]["holes"] > 0.05
+    wide = replace(painted, log_scales=painted.log_scales + np.float32(np.log(2.0)))
+    assert paper_figures.turned(wide, views)[0]["outside"] > 0.03
 
 
 def test_a_file_in_the_way_is_told_in_one_line(tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace as N
 
@@ -9,12 +10,28 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from scipy.spatial import cKDTree
 
+from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import read_gaussians
+from core.camera import look_at, perspective
 from core.errors import BadInput
-from prepare.segment.object_ids import check_learned, learned_objects, masks_of, object_ious, part_file, split, voted
+from prepare.segment.object_ids import (
+    CELLS,
+    check_learned,
+    hidden_sides,
+    learned_objects,
+    masks_of,
+    object_ious,
+    objects_alone,
+    part_file,
+    split,
+    trained_alone,
+    voted,
+)
 from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import read_capture
+from prepare.train.photographs import Photograph
 from tests.support import painted_capture
 from tests.support.samples import some_gaussians
 from vrgs import main
@@ -75,6 +92,99 @@ def test_a_trained_splat_learns_its_objects_from_masks(ti_cpu):
     )
     assert len(found) == len(g) and found.objects == ("left", "right") and told[-1] == 1.0
     assert (found.object_id == truth).mean() > 0.9
+
+
+def test_what_the_background_hid_of_an_object_goes_once_it_is_trained_alone(ti_cpu):
+    """A dark cloud behind an object, in front of what is opaque, is drawn by no photograph: alone it would be."""
+    g = painted_capture.painted_gaussians()
+    object_id = (painted_capture.painted_objects() == 1).astype(np.uint16)
+    rest, own = (replace(g.select(object_id == k), object_id=object_id[object_id == k], objects=("a",)) for k in (0, 1))
+    cloud = replace(own.select(slice(1)), log_scales=np.full((1, 3), np.log(0.3), np.float32))
+    cloud = replace(cloud, means=np.array([[0.2, 0.7, 0.0]], np.float32), logit_opacities=np.zeros(1, np.float32))
+    seen = [
+        p._replace(objects=(m == 1).astype(np.uint8))
+        for p, m in zip(painted_capture.photographs(), painted_capture.masks(), strict=True)
+    ]
+    views = [View(Path("none.png"), Lens(64, 64, 75.0, 75.0, 32.0, 32.0), p.camera.world_to_camera) for p in seen]
+    found = trained_alone(concatenate([rest, own, cloud]), Capture(Path("none"), views), seen)
+    assert_array_equal(found.object_id, np.repeat([0, 1], [len(rest), len(found) - len(rest)]))
+    assert_array_equal(found.means[: len(rest)], rest.means)
+    cloudy, others = found.opacities[len(rest) + len(own)], found.opacities[len(rest) : len(rest) + len(own)]
+    assert cloudy < 0.1 and np.median(others) > 0.8
+
+
+def test_an_object_alone_is_told_by_the_pixels_that_show_it_or_nothing_before_it(ti_cpu):
+    """A ball, a smaller one before its left half, a mask that took a part of the ground, and two unknown rows."""
+    ball = Gaussians.of([[0.0, 0.0, 2.0]], [[1.0, 0, 0, 0]], np.full((1, 3), np.log(0.2)), [6.0], np.zeros((1, 1, 3)))
+    before = replace(
+        ball, means=ball.means + np.float32([-0.2, 0.0, -0.8]), log_scales=ball.log_scales - np.float32(1.0)
+    )
+    camera, ids = perspective(64, 64, 0.8, np.eye(4)), np.zeros((64, 64), np.uint8)
+    y, x = np.mgrid[:64, :64] - 31.5
+    ids[(np.hypot(x, y) < 15) & (x > -4)] = 1
+    ids[:6, :6], ids[-2:] = 2, 255
+    photograph = Photograph(np.full((64, 64, 3), 200, np.uint8), np.ones((64, 64), bool), camera, ids)
+    (found,), (depth,) = objects_alone(ball, before, [photograph])
+    assert depth[32, 36] == pytest.approx(2.0, abs=0.05) and depth[32, 22] < 1.4 and np.isinf(depth[32, 62])
+    assert_array_equal(found.alpha, 255 * (ids > 0))
+    assert_array_equal(found.pixels, np.full((64, 64, 3), 200) * (ids[..., None] > 0))
+    counts = found.mask
+    assert counts[32, 36] and counts[32, 60] and counts[5, 40]  # the object; nothing
+    assert not counts[32, 22] and not counts[3, 3] and not counts[-1].any()  # before it; not drawn; unknown
+    assert not counts[32, 27:29].any()  # along the border
+
+
+def balls_photographed(balls: list, framed: bool) -> tuple[list[Photograph], list[np.ndarray]]:
+    """Photographs from half a circle around balls (centre, radius) of one object, and their depths; `framed`: through a
+    round hole, of what is nearer."""
+    photographs, depths = [], []
+    for turn, rise in product(np.linspace(-np.pi / 2, np.pi / 2, 7), (-0.4, 0.9)):
+        eye = 2.5 * np.array([np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)])
+        camera = perspective(96, 96, 0.9, look_at(eye, (0.0, 0.0, 0.0)))
+        v, u = np.mgrid[:96, :96] + 0.5
+        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+        rays = rays @ camera.world_to_camera[:3, :3]  # of depth 1
+        depth = np.full((96, 96), np.inf)
+        for centre, radius in balls:
+            a, b = (rays**2).sum(axis=2), rays @ (camera.position - centre)
+            root = b**2 - a * (((camera.position - centre) ** 2).sum() - radius**2)
+            depth = np.minimum(depth, np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf))
+        ids = np.isfinite(depth).astype(np.uint8)
+        if framed:
+            depth[ids == 0] = 0.5
+        photographs.append(Photograph(np.zeros((96, 96, 3), np.uint8), ids < 2, camera, ids))
+        depths.append(depth)
+    return photographs, depths
+
+
+@pytest.mark.parametrize("framed", [False, True])
+@pytest.mark.parametrize("balls", [[((0.0, 0.0, 0.0), 0.5)], [((0.0, 0.0, 0.0), 0.5), ((0.0, 0.8, 0.0), 0.15)]])
+def test_the_side_of_a_ball_that_no_photograph_shows_is_closed(balls, framed):
+    """It is as round as silhouettes tell, with the colours beside it; of two pieces the smaller one stays as it is."""
+    photographs, depths = balls_photographed(balls, framed)
+    ways = np.random.default_rng(0).normal(size=(1500, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    points = np.concatenate([centre + radius * ways for centre, radius in balls])
+    seen = np.zeros(len(points), bool)
+    for p, depth in zip(photographs, depths, strict=True):
+        x, y, z = p.camera.projected(points)
+        seen |= np.abs(depth[y.astype(int).clip(0, 95), x.astype(int).clip(0, 95)] - z) < 0.02
+    means, n = points[seen], int(seen.sum())
+    sh = np.where(means[:, :1, None] < 0.0, [[[1.0, 0.0, 0.0]]], [[[0.0, 0.0, 1.0]]])
+    object_id = np.ones(n, np.uint16)
+    own = Gaussians.of(
+        means, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), -4.0), np.full(n, 4.0), sh, object_id, ("a",)
+    )
+    found = hidden_sides(own, photographs, depths)
+    assert (found.object_id == 1).all() and found.objects == ("a",) and (found.opacities > 0.8).all()
+    away = np.linalg.norm(found.means, axis=1)
+    assert away.min() > 0.4 and away.max() < 0.68
+    unseen = points[: len(ways)][~seen[: len(ways)]]
+    beside = cKDTree(found.means).query(unseen)[0]  # single ones are seen, but along the surface
+    assert len(unseen) > 50 and np.quantile(beside, 0.97) < 4 * np.ptp(points, axis=0).max() / CELLS
+    assert np.quantile(cKDTree(unseen).query(found.means)[0], 0.9) < 0.2
+    left, right = (found.sh[found.means[:, 0] * side > 0.08, 0].mean(axis=0) for side in (-1, 1))
+    assert left[0] > 0.8 and right[2] > 0.8
 
 
 def test_a_split_loses_nothing():

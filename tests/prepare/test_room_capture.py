@@ -20,9 +20,10 @@ from core.errors import BadInput
 from core.material import MATERIALS
 from prepare.inpaint.inpaint_pipeline import NoSurface
 from prepare.progress import no_progress
+from prepare.room_capture import room_pipeline
 from prepare.room_capture import stages as stages_module
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
-from prepare.room_capture.contributions import contributions, needed
+from prepare.room_capture.contributions import Contributions, contributions, needed
 from prepare.room_capture.objects import base_of, object_files, seated, support_of, without_solid
 from prepare.room_capture.room_pipeline import MeasuredLength, PlacedRoom, held_objects, inpainted, without_objects
 from prepare.room_capture.stages import Stages, source_digest
@@ -113,6 +114,18 @@ def test_what_no_photograph_needs_is_left_out(ti_cpu):
     assert not keep[-2] and found.weight[-2] < 0.5 and not keep[-1] and found.weight[-1] > 1.0
     inside = (np.abs(g.means[:-2, :2]) < 0.6).all(1)
     assert keep[:-2][inside].all()
+
+
+def test_sides_of_an_object_that_no_photograph_shows_stay_with_it(monkeypatch):
+    g = concatenate([plane(1, 0.0), ball((0.0, 0.5, 0.0))])
+    g = replace(g, object_id=(g.means[:, 1] > 0.2).astype(np.uint16), objects=("a",))
+    monkeypatch.setattr(room_pipeline, "needed", lambda *_: np.zeros(len(g), bool))
+    turned = SimpleNamespace(pose=lambda m: m, gaussians=lambda g: g, scale=1.0, floor_seen=True)
+    monkeypatch.setattr(room_pipeline, "capture_orientation", lambda *_: turned)
+    found = Contributions(np.arange(len(g)), np.ones(1))
+    room = room_pipeline.placed_room(g, SimpleNamespace(cameras=list), found, None)
+    own = np.flatnonzero(g.object_id)
+    assert len(own) and np.array_equal(room.weight, own) and np.array_equal(room.gaussians.means, g.means[own])
 
 
 def ring_of_cameras(height: float):

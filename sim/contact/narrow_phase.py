@@ -136,10 +136,13 @@ class StaticContact:
     def project_vertex_metric(self, i, dx, H, A, prior):
         """The increment dx of vertex i [m] moved out of all shapes near it in the metric of H = A^-1.
 
-        prior [N]: the contact force of the last sweep. Returns also the force now [N], and its stiffness [N/m].
+        prior [N]: the contact force of the last sweep. Returns also the force now [N], the stiffness along the normal
+        [N/m], and the matrix K [N/m] of all: if dx changes by u, the force changes by -K u. Where it sticks, tangential
+        motion is held; where it slides, friction changes with the normal force.
         """
         s = self.state
         d, force, stiffness = dx, vec3(0.0), 0.0
+        K, one = ti.Matrix.zero(ti.f32, 3, 3), ti.Matrix.identity(ti.f32, 3)
         p = self.samples.of_vertex[i]
         if p >= 0 and self.contact_count[p] > 0:
             contact_stiffness = CONTACT_STIFFNESS * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
@@ -154,9 +157,16 @@ class StaticContact:
                     f = contact_impulse(holding, n, A_n, A.trace() / 3.0, self.friction[p, k], s.dt[None])
                     d += A @ f
                     force += f
-                    stiffness = ti.max(stiffness, ti.min(n.dot(H @ n), n.dot(f) / lacking))
+                    f_n = n.dot(f)
+                    if f_n > 0.0:
+                        along, across = ti.min(n.dot(H @ n), f_n / lacking), one - n.outer_product(n)
+                        K_k = along / f_n * f.outer_product(n)
+                        if (f - holding).norm_sqr() == 0.0:
+                            K_k = along * n.outer_product(n) + across @ H @ across
+                        K += K_k @ (one - A @ K)  # what the contacts before it leave of u
+                        stiffness = ti.max(stiffness, along)
             self.forces.correction[i] = s.dt[None] ** 2 / s.mass[i] * force
-        return d, force, stiffness
+        return d, force, stiffness, K
 
     @ti.func
     def evaluate(self, p):

@@ -11,6 +11,8 @@ import taichi as ti
 from core.fields import FieldGroup
 
 CUTOFF_BITS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-CUTOFF_BITS
+ACROSS, DOWN = 4, 2  # cells of a tile on CUDA, each of which a warp draws
+CELL = 8  # [px] width of a cell
 MASK_COLUMNS, MASK_ROWS = 6, 5  # [tiles], 30 bits; a larger splat has no mask and is rasterised again when binned
 CUTOFF_SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 MAX_TILT = 0.5  # of the distance: largest change of depth within the splat; beyond it, the plane is flattened
@@ -68,6 +70,20 @@ def tile_columns(row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: 
         low, high = horizontal_extent(top, top + (tile[1] - 1), mean2d, conic, box)
         first, last = tiles_between(low, high, left, right, tile[0])
     return first, last
+
+
+@ti.func
+def touched_cells(x0: ti.i32, y0: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
+    """A bit for each cell that a splat touches of the tile that begins at (x0, y0) [px], row by row."""
+    height, bits = ti.static(tile[1] // DOWN), 0
+    for row in ti.static(range(DOWN)):
+        top = y0 + row * height + 0.5
+        if mean2d.y - box[1] <= top + (height - 1) and mean2d.y + box[1] >= top:
+            left, right = horizontal_extent(top, top + (height - 1), mean2d, conic, box)
+            for column in ti.static(range(ACROSS)):
+                if left <= x0 + column * CELL + CELL - 0.5 and right >= x0 + column * CELL + 0.5:
+                    bits |= 1 << (row * ACROSS + column)
+    return bits
 
 
 @ti.func

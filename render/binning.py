@@ -4,7 +4,7 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from core.lanes import lane_count, sums_before
-from render.footprint import tile_box, touched_cells
+from render.footprint import masked_tile, tile_box, touched_cells
 from render.prefix_sum import PrefixSum
 from render.projection import Projection
 from render.radix_sort import RadixSort, item_of, key_of, value_of
@@ -137,52 +137,54 @@ class TileBins:
         return ti.cast(key_of(self.members[i]) & ti.u32((1 << CELLS_AT) - 1), ti.i32)
 
     @ti.func
-    def _pair(self, v: ti.i32, tile: ti.i32, g: ti.i32) -> ti.i64:
-        """The item of a tile and a splat of view v."""
-        key, p = ti.cast(tile, ti.u32), self.projection
-        if ti.static(self.on_gpu):
-            _, x0, y0 = p.place_of(tile, p.tile)
-            cells = touched_cells(x0, y0, p.mean2d[v, g], p.conic[v, g], p.box[v, g], p.tile)
-            key |= ti.cast(cells, ti.u32) << CELLS_AT
-        return item_of(key, g)
+    def _write(self, pair: ti.i32, v, g, row, column, mean2d, conic, box) -> ti.i32:
+        """Write the pair of a tile and splat g of view v, if the tile is drawn; returns the place of the next."""
+        tile = self.projection.tile_at(v, row, column)
+        if self.projection.draws(tile):
+            key = ti.cast(tile, ti.u32)
+            if ti.static(self.on_gpu):
+                cells = touched_cells(row, column, mean2d, conic, box, self.projection.tile)
+                key |= ti.cast(cells, ti.u32) << CELLS_AT
+            self.sorter.items[pair] = item_of(key, g)
+            pair += 1
+        return pair
 
     @ti.func
     def _splat(self, i: ti.i32):
         """View, Gaussian and first pair of the i-th splat from the front; the two eyes' stand side by side."""
         k, v = i // self.projection.views, i % self.projection.views
         g, pair = self.order.gaussian(k), self.order.first_pair[k]
-        for before in range(v):
-            pair += self.projection.tile_count(before, g)
+        for before in ti.static(range(self.projection.views - 1)):
+            if before < v:
+                pair += self.projection.tile_count(before, g)
         return v, g, pair
 
     @ti.func
     def _emit_masked(self, v: ti.i32, g: ti.i32, pair: ti.i32):
         """Write the pairs of a splat from `pair` on."""
-        mask = self.projection.tile_mask[v, g]
+        p = self.projection
+        mask, mean2d, conic, box = p.tile_mask[v, g], p.mean2d[v, g], p.conic[v, g], p.box[v, g]
         bits = mask[1]
         while bits > 0:
-            tile = self.projection.masked_tile(v, mask[0], bits)
-            if self.projection.draws(tile):
-                self.sorter.items[pair] = self._pair(v, tile, g)
-                pair += 1
+            row, column = masked_tile(mask[0], bits)
+            pair = self._write(pair, v, g, row, column, mean2d, conic, box)
             bits &= bits - 1
 
     @ti.func
     def _emit_large(self, v: ti.i32, g: ti.i32, pair: ti.i32, lane: ti.i32):
         """Write the pairs of a splat without a tile mask; each lane has every so many rows."""
         p = self.projection
-        left, right, top, bottom = tile_box(p.mean2d[v, g], p.box[v, g], p.tile, p.grid)
+        mean2d, conic, box = p.mean2d[v, g], p.conic[v, g], p.box[v, g]
+        left, right, top, bottom = tile_box(mean2d, box, p.tile, p.grid)
         for step in range((bottom - top + self.lanes - 1) // self.lanes):
             row, column, last = top + step * self.lanes + lane, 0, 0
             if row < bottom:
                 column, last = p.columns_in(v, g, row, left, right)
             before, all_rows = sums_before(last - column, lane, self.lanes)
-            tile, at = p.tile_at(v, row, 0), pair + before
+            at = pair + before
             # The second bound is read again at each step, else the loop's vectorised forms take half a second to
             # compile.
             while column < ti.min(last, p.grid[None][2]):
-                if p.draws(tile + column):
-                    self.sorter.items[at] = self._pair(v, tile + column, g)
-                    at += 1
+                at = self._write(at, v, g, row, column, mean2d, conic, box)
                 column += 1
             pair = pair + all_rows if ti.static(self.lanes > 1) else at  # one lane may leave out tiles

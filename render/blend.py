@@ -19,7 +19,10 @@ from render.radix_sort import key_of, value_of
 
 ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weights stay finite
 MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before its transmittance would fall to this
-FINISHED = 2.0  # no transmittance is more
+# CUDA's 2^x is 0 below the least normal float. Alphas are computed as multiples of 1 / SCALE, so that this least one is
+# 1/255, where a splat ends: without comparisons, a tenth of the instructions.
+SCALE = 2.0**126 / 255
+FINISHED = 2.0 * SCALE  # no transmittance is more
 CPU_TILE = 8  # [px] a row of a tile is one vector register of floats
 CHECK_INTERVAL = 16  # splats between two tests, on the CPU, of whether all pixels are finished
 GPU_TILE = (32, 16)  # [px]
@@ -27,7 +30,7 @@ GPU_TILE = (32, 16)  # [px]
 # does not depend on the pixels. A photograph of 540 x 960 would take a quarter more.
 LARGE_GPU_TILE, MANY_PIXELS = (32, 32), 1 << 21
 TILE_THREADS = ACROSS * DOWN * WARP
-BLOCK = 128  # threads, of half a tile: a block ends with the slowest of its warps
+PLACE = 12  # words in shared memory of a splat for a cell
 BATCH = 512  # splats in shared memory at a time; a power of two
 QUAD = 4 * BATCH  # words of shared memory between quads of a splat: its first four numbers, the next, the last two
 CELL_BITS = 2 * QUAD + 2  # first of the words that say which of 32 splats touch a cell
@@ -38,7 +41,7 @@ ROW_STEP = 32 // CELL  # [px] between a thread's pixels
 
 @ti.func
 def exp2(x: ti.f32) -> ti.f32:
-    """2^x for x <= 0.01, relative error 4e-6; off CUDA undefined below -CUTOFF_BITS.
+    """2^x for -CUTOFF_BITS <= x <= 0.01, relative error 4e-6; undefined outside, but on CUDA 0 for x < -126.
 
     One instruction on CUDA. Elsewhere (2^(x/16))^16 with a polynomial for the inner part: products only, which a CPU
     vectorises.
@@ -47,7 +50,7 @@ def exp2(x: ti.f32) -> ti.f32:
     if ti.static(ti.cfg.arch == ti.cuda and not QUADRANTS):
         CUDA.exp2(y)
     elif ti.static(ti.cfg.arch == ti.cuda):
-        y = ti.exp(math.log(2.0) * x)
+        y = ti.select(x < -126.0, 0.0, ti.exp(math.log(2.0) * x))
     else:
         y = 0.0009379154316623323 + x * (1.3388277327798619e-05 + x * 1.2325647990480442e-07)
         y = 0.9999999187056234 + x * (0.04332121602645622 + x * y)
@@ -84,11 +87,11 @@ def load_batch(drawer: ti.template(), shared: ti.template(), v, first, end, lane
 
 
 @ti.func
-def fetched(shared: ti.template(), j, count: ti.template(), places: ti.template() = BATCH):
-    """The first `count` numbers of the splat at one of the `places` in shared memory, a power of two."""
+def fetched(shared: ti.template(), j, count: ti.template()):
+    """The first `count` numbers of the splat at position j of the batch."""
     splat = ti.Vector([0.0] * count)
     for k in ti.static(range(count)):  # in a row and within known bounds: three wide loads
-        splat[k] = shared[4 * places * (k // 4) + 4 * (j & (places - 1)) + k % 4]
+        splat[k] = shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4]
     return splat
 
 
@@ -212,18 +215,17 @@ class Blend:
         own places in shared memory. No warp waits for another, nor for what touches other cells.
         """
         pixels, height = ti.static(self.pixels, self.pixels * ROW_STEP)
-        ti.loop_config(block_dim=BLOCK)
+        ti.loop_config(block_dim=TILE_THREADS)
         for thread in range(self.projection.views * self.bins.tiles_per_view() * self.segments * TILE_THREADS):
             block, cell, lane = thread // TILE_THREADS, thread % TILE_THREADS // WARP, thread % WARP
             tile, s = block // self.segments, block % self.segments
             v, x0, y0 = self.projection.place_of(tile, self.projection.tile)
             left, top = pixel_of(x0, y0, cell, 0, height)
             x, y = pixel_of(x0, y0, cell, lane, height)
-            shared = ti.simt.block.SharedArray((12 * BLOCK,), ti.f32)
-            own = thread % BLOCK // WARP * WARP  # the warp's first place
-            T, depth = ti.Vector([1.0] * pixels), ti.Vector([0.0] * pixels)
+            shared = ti.simt.block.SharedArray((PLACE * TILE_THREADS,), ti.f32)
+            T, depth = ti.Vector([SCALE] * pixels), ti.Vector([0.0] * pixels)  # T, times SCALE
             red, green, blue = ti.Vector([0.0] * pixels), ti.Vector([0.0] * pixels), ti.Vector([0.0] * pixels)
-            least = ti.Vector([MIN_TRANSMITTANCE] * pixels)  # of a splat that is drawn; FINISHED behind the last one
+            least = ti.Vector([SCALE * MIN_TRANSMITTANCE] * pixels)  # that a splat must leave; FINISHED behind the last
             for p in ti.static(range(pixels)):
                 if not self.projection.inside(x, y + p * ROW_STEP):
                     least[p] = FINISHED
@@ -239,21 +241,22 @@ class Blend:
                 if touches != 0:
                     words = self._words(v, value_of(item), left, top)
                     for k in ti.static(range(10)):
-                        shared[4 * BLOCK * (k // 4) + 4 * ((own + place) & (BLOCK - 1)) + k % 4] = words[k]
+                        shared[PLACE * (cell * WARP + place) + k] = words[k]
                 sync_lanes(WARP)
                 for k in range(count):
-                    splat = fetched(shared, own + k, 10, BLOCK)
+                    splat = ti.Vector([0.0] * 10)
+                    for n in ti.static(range(10)):  # within known bounds: wide loads
+                        splat[n] = shared[PLACE * ((cell * WARP + k) & (TILE_THREADS - 1)) + n]
                     along = splat[0] * (x - left + 0.5) - splat[1]
                     across = splat[4] * (y - top + 0.5) + (splat[5] * (x - left + 0.5) - splat[3])
                     base = splat[2] - along * along
                     for p in ti.static(range(pixels)):  # without branches: most splats of a cell touch some pixel
                         u = across + p * ROW_STEP * splat[4]
-                        power = base - u * u
-                        weight = T[p] * ti.min(ALPHA_MAX, exp2(power))
-                        remains = T[p] - weight > least[p]
-                        weight = ti.select(remains & (power >= -CUTOFF_BITS), weight, 0.0)
+                        weight = T[p] * ti.min(ALPHA_MAX / SCALE, exp2(base - u * u))
+                        remains = T[p] - SCALE * weight > least[p]
+                        weight = ti.select(remains, weight, 0.0)
                         least[p] = ti.select(remains, least[p], FINISHED)
-                        T[p] -= weight
+                        T[p] -= SCALE * weight
                         if ti.static(self.with_depth):
                             depth[p] += weight * splat[9]
                         if ti.static(self.with_color):
@@ -264,20 +267,22 @@ class Blend:
             for p in ti.static(range(pixels)):
                 if self.projection.inside(x, y + p * ROW_STEP):
                     rgb = ti.math.vec3(red[p], green[p], blue[p])
-                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - T[p])
+                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - T[p] / SCALE)
 
     @ti.func
     def _words(self, v, g, left, top):
-        """Numbers of a splat for a cell that begins at (left, top) [px]: q, q x, log2 opacity, s y + t x, s, t, rgb, z.
+        """Numbers of a splat at (x, y) [px] from the corner of a cell, (left, top) [px], by its factors q, s and t.
 
-        With x, y from there, and the factors q, s and t.
+        q, q x, log2 (opacity / SCALE), s y + t x, s, t, r, g, b, z
         """
         mean2d, color = self.projection.mean2d[v, g], ti.math.vec3(0.0)
         if ti.static(self.with_color):
             color = splat_color(self, v, g)
         q, s, t = factors(self.projection.conic[v, g])
         x, y = mean2d.x - left, mean2d.y - top
-        return ti.Vector([q, q * x, mean2d.z, s * y + t * x, s, t, color[0], color[1], color[2], mean2d.w])
+        return ti.Vector(
+            [q, q * x, mean2d.z - math.log2(SCALE), s * y + t * x, s, t, color[0], color[1], color[2], mean2d.w]
+        )
 
 
 @ti.func

@@ -51,6 +51,13 @@ def tile_mask_of(mean2d: vec4, conic: vec4, box: vec4, tile: ti.template(), grid
 
 
 @ti.func
+def masked_tile(corner: ti.i32, bits: ti.i32):
+    """Row and column of the tile of the lowest bit of a tile mask."""
+    lowest = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)
+    return (corner >> 16) + lowest // MASK_COLUMNS, (corner & 0xFFFF) + lowest % MASK_COLUMNS
+
+
+@ti.func
 def tile_box(mean2d: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
     """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
     left, right = tiles_between(mean2d.x - box[0], mean2d.x + box[0], 0, grid[None][2], tile[0])
@@ -73,16 +80,16 @@ def tile_columns(row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: 
 
 
 @ti.func
-def touched_cells(x0: ti.i32, y0: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
-    """A bit for each cell that a splat touches of the tile that begins at (x0, y0) [px], row by row."""
-    height, bits = ti.static(tile[1] // DOWN), 0
-    for row in ti.static(range(DOWN)):
-        top = y0 + row * height + 0.5
+def touched_cells(row: ti.i32, column: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
+    """A bit for each cell of a tile that a splat touches, row by row."""
+    x0, height, bits = column * tile[0], ti.static(tile[1] // DOWN), 0
+    for down in ti.static(range(DOWN)):
+        top = row * tile[1] + down * height + 0.5
         if mean2d.y - box[1] <= top + (height - 1) and mean2d.y + box[1] >= top:
             left, right = horizontal_extent(top, top + (height - 1), mean2d, conic, box)
-            for column in ti.static(range(ACROSS)):
-                if left <= x0 + column * CELL + CELL - 0.5 and right >= x0 + column * CELL + 0.5:
-                    bits |= 1 << (row * ACROSS + column)
+            for across in ti.static(range(ACROSS)):
+                if left <= x0 + across * CELL + CELL - 0.5 and right >= x0 + across * CELL + 0.5:
+                    bits |= 1 << (down * ACROSS + across)
     return bits
 
 

@@ -90,9 +90,7 @@ def test_cells_hold_all_splats_with_a_visible_pixel_in_them_and_few_others(drawi
     def find():
         for i, row, column in found:
             box = p.box[0, i]
-            found[i, row, column] = touched_cells(
-                column * tile[0], row * tile[1], p.mean2d[0, i], p.conic[0, i], box, tile
-            )
+            found[i, row, column] = touched_cells(row, column, p.mean2d[0, i], p.conic[0, i], box, tile)
 
     find()
     drawn = p.tile_mask.to_numpy()[0, : len(g), 1] != 0

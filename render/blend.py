@@ -22,6 +22,7 @@ MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before its transmittance would f
 # CUDA's 2^x is 0 below the least normal float. Alphas are computed as multiples of 1 / SCALE, so that this least one is
 # 1/255, where a splat ends: without comparisons, a tenth of the instructions.
 SCALE = 2.0**126 / 255
+LOG_SCALE, LN2 = math.log2(SCALE), math.log(2.0)
 FINISHED = 2.0 * SCALE  # no transmittance is more
 CPU_TILE = 8  # [px] a row of a tile is one vector register of floats
 CHECK_INTERVAL = 16  # splats between two tests, on the CPU, of whether all pixels are finished
@@ -50,7 +51,7 @@ def exp2(x: ti.f32) -> ti.f32:
     if ti.static(ti.cfg.arch == ti.cuda and not QUADRANTS):
         CUDA.exp2(y)
     elif ti.static(ti.cfg.arch == ti.cuda):
-        y = ti.select(x < -126.0, 0.0, ti.exp(math.log(2.0) * x))
+        y = ti.select(x < -126.0, 0.0, ti.exp(LN2 * x))
     else:
         y = 0.0009379154316623323 + x * (1.3388277327798619e-05 + x * 1.2325647990480442e-07)
         y = 0.9999999187056234 + x * (0.04332121602645622 + x * y)
@@ -280,9 +281,7 @@ class Blend:
             color = splat_color(self, v, g)
         q, s, t = factors(self.projection.conic[v, g])
         x, y = mean2d.x - left, mean2d.y - top
-        return ti.Vector(
-            [q, q * x, mean2d.z - math.log2(SCALE), s * y + t * x, s, t, color[0], color[1], color[2], mean2d.w]
-        )
+        return ti.Vector([q, q * x, mean2d.z - LOG_SCALE, s * y + t * x, s, t, color[0], color[1], color[2], mean2d.w])
 
 
 @ti.func

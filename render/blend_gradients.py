@@ -1,7 +1,5 @@
 """Backward pass of blending: gradients of the splats in a picture from the gradient of its pixels."""
 
-import math
-
 import taichi as ti
 
 from core.fields import FieldGroup
@@ -15,6 +13,7 @@ from render.blend import (
     CHECK_INTERVAL,
     CPU_TILE,
     GPU_TILE,
+    LN2,
     MIN_TRANSMITTANCE,
     PIXELS,
     QUAD,
@@ -34,7 +33,6 @@ from render.footprint import CUTOFF_BITS
 from render.per_pixel_sort import BUFFER_SIZE, EMPTY_INV_DEPTH, PIXEL_THREADS, pushed
 from render.radix_sort import value_of
 
-LN2 = math.log(2.0)
 BEHIND_ALL = 0.0  # [1/m] of empty splats that follow the last one: they drain the buffer
 MIN_ALPHA = 1e-10  # least opacity by which a pixel's depth is divided, as in the picture
 SUMS = 10  # accumulated numbers per Gaussian

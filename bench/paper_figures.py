@@ -419,7 +419,7 @@ def _trained(folder: Path, steps: int) -> tuple:
         trainer.step()
         if trainer.done % max(steps // 4, 1) == 0:
             _told(f"training, step {trainer.done} of {steps}, PSNR {trainer.recent_loss().psnr:.1f} dB")
-    gaussians = room_pipeline.without_supports(identified(trainer), capture)
+    gaussians = room_pipeline.without_supports(identified(trainer, photographs), capture)
     trainer.destroy()
     return capture, photographs, trained_alone(gaussians, capture, photographs)
 

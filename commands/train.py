@@ -117,7 +117,7 @@ def train(options: TrainOptions, capture: Capture | None = None) -> None:
         seconds = time.perf_counter() - progress.begin
         leave_out_unneeded(trainer, [p.camera for p in train])
     qualities = [trainer.quality(p) for p in test]
-    gaussians = identified(trainer) if masks else trainer.gaussians()
+    gaussians = identified(trainer, train) if masks else trainer.gaussians()
     gaussians = replace(gaussians, view=capture.photographer())
     write_gaussians(options.out, gaussians, _say)
     _checkpoint(options).unlink(missing_ok=True)

@@ -29,6 +29,7 @@ NEIGHBOURS = 16  # that vote on a Gaussian
 FURTHER_STEPS = 400  # of a training that goes on; some 50 that see a Gaussian move its label to an object
 SOLID = 0.5  # opacity from which a pixel shows a surface
 CELLS, BOUNDS = 24, (1.5, 98.5)  # cells along an object, between percentiles of its Gaussians' places
+FAR_OUT = 3.0  # times the distance between quartiles; what lies farther beyond them is far out (Tukey 1977)
 NEAREST, WIDTH = 6, 0.6  # Gaussians that tell the colour of a hidden side; standard deviation there, in cells
 
 
@@ -79,11 +80,37 @@ def check_learned(names: list[str], photographs: list[Photograph]) -> None:
             )
 
 
-def identified(trainer) -> Gaussians:
-    """The Gaussians of a trainer that learned labels, with ids and names of their objects, after a vote."""
+def identified(trainer, photographs: Sequence[Photograph]) -> Gaussians:
+    """The Gaussians of a trainer that learned labels from photographs, with ids and names of their objects, after a
+    vote, and after what was seen through objects is left to the background."""
     g, count = trainer.gaussians(), len(trainer.objects)
     ids = voted(g, nearest_label(trainer.labels(), count), trainer.evidence(), count)
+    ids[seen_through(g.means.astype(np.float64), ids, photographs)] = 0
     return replace(g, object_id=ids.astype(np.uint16), objects=trainer.objects)
+
+
+def seen_through(means: np.ndarray, ids: np.ndarray, photographs: Sequence[Photograph]) -> np.ndarray:
+    """Mask (N,) of objects' Gaussians that lie outside of their object's masks in most photographs that show their
+    places, or far from all others: a wall behind an object shows through it, and learns its label.
+
+    Where a photograph shows another object, that may stand before them.
+    """
+    inside, outside = np.zeros(len(means), int), np.zeros(len(means), int)
+    for p in photographs:
+        if p.objects is None:
+            continue
+        x, y, z = p.camera.projected(means)
+        rows = np.flatnonzero((z > 0) & (x >= 0) & (x < p.camera.width) & (y >= 0) & (y < p.camera.height))
+        shown = p.objects[y[rows].astype(int), x[rows].astype(int)]
+        inside[rows] += shown == ids[rows]
+        outside[rows] += shown == 0
+    found = (ids > 0) & (inside <= outside)
+    for k in np.unique(ids[(ids > 0) & ~found]):
+        own = np.flatnonzero((ids == k) & ~found)
+        low, high = np.percentile(means[own], (25, 75), axis=0)
+        reach = FAR_OUT * (high - low).max()
+        found[own] = ((means[own] < low - reach) | (means[own] > high + reach)).any(axis=1)
+    return found
 
 
 def learned_objects(
@@ -98,7 +125,7 @@ def learned_objects(
     trainer = _further(g, capture, photographs, names)
     trainer.rates = replace(trainer.rates, mean=trainer.rates.mean_end)  # as at the end of the first training
     _run(trainer, "masks", progress)
-    found = identified(trainer)
+    found = identified(trainer, photographs)
     trainer.destroy()
     return replace(found, view=g.view)
 

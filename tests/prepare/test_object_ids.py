@@ -25,6 +25,7 @@ from prepare.segment.object_ids import (
     object_ious,
     objects_alone,
     part_file,
+    seen_through,
     split,
     trained_alone,
     voted,
@@ -155,6 +156,22 @@ def balls_photographed(balls: list, framed: bool) -> tuple[list[Photograph], lis
         photographs.append(Photograph(np.zeros((96, 96, 3), np.uint8), ids < 2, camera, ids))
         depths.append(depth)
     return photographs, depths
+
+
+def test_what_is_seen_through_an_object_is_left_to_the_background():
+    """Behind a ball, in the line of sight of each photograph: near, where others see it beside the ball, and so far
+    that no other shows it. In half of the photographs a second object stands before the ball's lower half."""
+    photographs = balls_photographed([((0.0, 0.0, 0.0), 0.5)], framed=False)[0][::4]
+    for p in photographs[::2]:
+        p.objects[60:] = 2
+    ways = np.random.default_rng(0).normal(size=(400, 3))
+    ball = 0.45 * ways / np.linalg.norm(ways, axis=1, keepdims=True)  # outlines are as rough as pixels
+    sight = np.array([-p.camera.position / np.linalg.norm(p.camera.position) for p in photographs])
+    means = np.concatenate([ball, 1.5 * sight, 30.0 * sight, 30.0 * sight])
+    ids = np.repeat([1, 1, 1, 0], (400, 4, 4, 4)).astype(np.uint8)
+    found = seen_through(means, ids, [photographs[0]._replace(objects=None), *photographs])
+    assert found[400:408].all() and not found[408:].any()  # what is of no object stays so
+    assert not found[:400].any()
 
 
 @pytest.mark.parametrize("framed", [False, True])

@@ -45,7 +45,7 @@ from prepare.blending_weights import BlendingWeights
 from prepare.inpaint import inpaint_pipeline as pipeline
 from prepare.inpaint.hole_patch import compare, cut_out, uncovered_psnr
 from prepare.room_capture import room_pipeline
-from prepare.segment.object_ids import identified, masks_of, trained_alone
+from prepare.segment.object_ids import background_around, identified, masks_of, trained_alone
 from prepare.train.capture import View
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import OPAQUE, load_photograph, load_photographs, read_mask
@@ -421,7 +421,8 @@ def _trained(folder: Path, steps: int) -> tuple:
             _told(f"training, step {trainer.done} of {steps}, PSNR {trainer.recent_loss().psnr:.1f} dB")
     gaussians = room_pipeline.without_supports(identified(trainer, photographs), capture)
     trainer.destroy()
-    return capture, photographs, trained_alone(gaussians, capture, photographs)
+    gaussians = trained_alone(gaussians, capture, photographs)
+    return capture, photographs, background_around(gaussians, capture, photographs)
 
 
 def _strip(view, photographs) -> np.ndarray:

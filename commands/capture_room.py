@@ -45,7 +45,7 @@ from prepare.room_capture.stages import Stages, file_key, source_digest
 from prepare.segment.marks import Marks, marks_json, read_marks
 from prepare.segment.mask_files import read_masks
 from prepare.segment.mask_propagation import propagate_marks
-from prepare.segment.object_ids import learned_objects, masks_beside, masks_of, trained_alone
+from prepare.segment.object_ids import background_around, learned_objects, masks_beside, masks_of, trained_alone
 from prepare.train.capture import Capture
 from prepare.train.photographs import image_size, load_photographs
 
@@ -241,7 +241,8 @@ class RoomMaking:
                 photographs = load_photographs(capture.views, reduce, masks.ids)
                 known = learned_objects(g, capture, photographs, masks.names, progress)
             known = room_pipeline.without_supports(known, capture, progress)
-            write_gaussians(folder / "objects.ply", trained_alone(known, capture, photographs, progress))
+            known = trained_alone(known, capture, photographs, progress)
+            write_gaussians(folder / "objects.ply", background_around(known, capture, photographs, progress))
 
         inputs = {"marks": None if self.marks is None else marks_json(self.marks)}
         done = self.stages.run("objects", inputs, make, self.source)

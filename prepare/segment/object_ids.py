@@ -145,12 +145,28 @@ def trained_alone(
         return g
     parts = [g.select(g.object_id == k) for k in np.unique(g.object_id[own])]
     whole = concatenate([*parts, *(hidden_sides(part, targets, depths) for part in parts)])
-    trainer = _further(whole, capture, targets, ())
-    trainer.strategy.fading = 0.0  # nothing is pruned
-    _run(trainer, "objects alone", progress)
-    found = replace(trainer.gaussians(), object_id=whole.object_id, objects=g.objects)
-    trainer.destroy()
+    found = _trained_on(whole, capture, targets, "objects alone", progress)
     return replace(concatenate([g.select(~own), found]), view=g.view)
+
+
+def background_around(
+    g: Gaussians, capture: Capture, photographs: list[Photograph], progress: Progress = no_progress
+) -> Gaussians:
+    """The Gaussians, those of objects last and as they are, bit for bit, after a short further training of the others:
+    the background was learned beneath the soft edges that objects had before they were trained alone. Taichi must be
+    running.
+
+    Pixels that show objects do not count, or the background would mend these with colours that stay where they stood.
+    """
+    own = g.object_id > 0
+    beside = [p if p.objects is None else p._replace(mask=p.mask & (p.objects == 0)) for p in photographs]
+    beside = [p for p in beside if p.mask.any()]
+    if own.all() or not own.any() or not beside:
+        return g
+    objects, rest = g.select(own), g.select(~own)
+    around = concatenate([objects, rest])
+    found = _trained_on(around, capture, beside, "background", progress, frozen=len(objects))
+    return replace(concatenate([found.select(slice(len(objects), None)), objects]), view=g.view)
 
 
 def objects_alone(
@@ -216,9 +232,23 @@ def hidden_sides(part: Gaussians, photographs: Sequence[Photograph], depths: Seq
     return Gaussians.of(places, quats, scales, np.full(len(places), logit(0.9)), sh, ids, part.objects)
 
 
-def _further(g: Gaussians, capture: Capture, photographs: list[Photograph], names: Sequence[str]) -> Trainer:
-    """A short training of all that is learned of Gaussians that were trained before."""
-    trained = {"degree": g.sh_degree, "sort": g.sort or "radial", "antialias": g.antialias}
+def _trained_on(
+    g: Gaussians, capture: Capture, photographs: list[Photograph], what: str, progress: Progress, frozen: int = 0
+) -> Gaussians:
+    """The same Gaussians, with their ids, after a short further training of all but the first `frozen`."""
+    trainer = _further(g, capture, photographs, (), frozen)
+    trainer.strategy.fading = 0.0  # nothing is pruned
+    _run(trainer, what, progress)
+    found = replace(trainer.gaussians(), object_id=g.object_id, objects=g.objects)
+    trainer.destroy()
+    return found
+
+
+def _further(
+    g: Gaussians, capture: Capture, photographs: list[Photograph], names: Sequence[str], frozen: int = 0
+) -> Trainer:
+    """A short training of all that is learned of Gaussians that were trained before, but the first `frozen`."""
+    trained = {"degree": g.sh_degree, "sort": g.sort or "radial", "antialias": g.antialias, "frozen": frozen}
     options = TrainOptions(steps=FURTHER_STEPS, cap=len(g), free_space=False, **trained)
     return Trainer(photographs, g, capture.extent, options, names)
 

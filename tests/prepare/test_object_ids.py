@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians, concatenate
@@ -18,6 +19,7 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from prepare.segment.object_ids import (
     CELLS,
+    background_around,
     check_learned,
     hidden_sides,
     learned_objects,
@@ -34,6 +36,7 @@ from prepare.train.capture import Capture, Lens, View
 from prepare.train.capture_files import read_capture
 from prepare.train.photographs import Photograph
 from tests.support import painted_capture
+from tests.support import reference_render as reference
 from tests.support.samples import some_gaussians
 from vrgs import main
 
@@ -83,14 +86,17 @@ def test_the_overlap_of_objects_is_intersection_over_union_of_the_pixels_that_co
     assert object_ious(trainer, pictures, None) == pytest.approx({"a": both[0] / either[0], "b": both[1] / either[1]})
 
 
+def painted_views() -> Capture:
+    """The painted capture, without its photographs."""
+    lens = Lens(64, 64, 75.0, 75.0, 32.0, 32.0)
+    return Capture(Path("none"), [View(Path("none.png"), lens, c.world_to_camera) for c in painted_capture.cameras()])
+
+
 def test_a_trained_splat_learns_its_objects_from_masks(ti_cpu):
     g, truth = painted_capture.painted_gaussians(), painted_capture.painted_objects()
     seen = [p._replace(objects=m) for p, m in zip(painted_capture.photographs(), painted_capture.masks(), strict=True)]
-    views = [View(Path("none.png"), Lens(64, 64, 75.0, 75.0, 32.0, 32.0), p.camera.world_to_camera) for p in seen]
     told = []
-    found = learned_objects(
-        g, Capture(Path("none"), views), seen, ("left", "right"), lambda what, done: told.append(done)
-    )
+    found = learned_objects(g, painted_views(), seen, ("left", "right"), lambda what, done: told.append(done))
     assert len(found) == len(g) and found.objects == ("left", "right") and told[-1] == 1.0
     assert (found.object_id == truth).mean() > 0.9
 
@@ -106,12 +112,36 @@ def test_what_the_background_hid_of_an_object_goes_once_it_is_trained_alone(ti_c
         p._replace(objects=(m == 1).astype(np.uint8))
         for p, m in zip(painted_capture.photographs(), painted_capture.masks(), strict=True)
     ]
-    views = [View(Path("none.png"), Lens(64, 64, 75.0, 75.0, 32.0, 32.0), p.camera.world_to_camera) for p in seen]
-    found = trained_alone(concatenate([rest, own, cloud]), Capture(Path("none"), views), seen)
+    found = trained_alone(concatenate([rest, own, cloud]), painted_views(), seen)
     assert_array_equal(found.object_id, np.repeat([0, 1], [len(rest), len(found) - len(rest)]))
     assert_array_equal(found.means[: len(rest)], rest.means)
     cloudy, others = found.opacities[len(rest) + len(own)], found.opacities[len(rest) : len(rest) + len(own)]
     assert cloudy < 0.1 and np.median(others) > 0.8
+
+
+def test_the_background_is_learned_around_objects_that_stay_as_they_are(ti_cpu):
+    """Objects with narrower edges than those that the background was learned beneath, and green in the photographs, of
+    which the background takes nothing."""
+    g, photographs = painted_capture.painted_gaussians(), painted_capture.photographs()
+    ids, masks = (painted_capture.painted_objects() == 1).astype(np.uint16), painted_capture.masks()
+    g = replace(g, log_scales=g.log_scales - 0.5 * ids[:, None].astype(np.float32), object_id=ids, objects=("a",))
+    seen = [p._replace(objects=(m == 1).astype(np.uint8)) for p, m in zip(photographs, masks, strict=True)]
+    for p in seen:
+        p.pixels[p.objects == 1] = 0, 255, 0
+    found = background_around(g, painted_views(), seen)
+    before, after = g.select(ids == 1), found.select(np.arange(len(g)) >= (ids == 0).sum())
+    for name in ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id"):
+        assert_array_equal(getattr(after, name), getattr(before, name))
+
+    def error(gaussians: Gaussians) -> float:
+        """Mean square error of the pixels within four of the object."""
+        squares = []
+        for p, m in zip(photographs, masks, strict=True):
+            seam = binary_dilation(m == 1, iterations=4) & (m != 1)
+            squares.append((reference.render(gaussians, p.camera)[0].clip(0, 1) - p.pixels / 255)[seam] ** 2)
+        return float(np.concatenate(squares).mean())
+
+    assert error(found) < 0.72 * error(g)  # 0.79 if it learns from the green
 
 
 def test_an_object_alone_is_told_by_the_pixels_that_show_it_or_nothing_before_it(ti_cpu):

@@ -187,12 +187,13 @@ def textures_around(
 
 
 def with_hole_first(textures: list[SurfaceTexture]) -> list[SurfaceTexture]:
-    """Sort textures by how likely they carry the object: those with a hole, and with its rim known, first.
+    """Sort textures by how likely they carry the object: those with a hole, by the geometric mean of the shares of the
+    points around and of the hole's rim that are known to lie on them, first.
 
     Remains of the object's own side in the background touch it more than the surface it stands on does, but have no
     hole, or end beside it.
     """
-    return sorted(textures, key=lambda t: (not t.hole.any(), -min(t.rim, RIM_KNOWN)))
+    return sorted(textures, key=lambda t: (not t.hole.any(), -t.rim * t.surface.share))
 
 
 def take_shadow(

@@ -51,11 +51,13 @@ class SupportSurface:
     """A plane. Its frame: origin [m] (3,), rows of `axes` (3, 3) along it and towards the object.
 
     spread  standard deviation [m] of the points it was found from, by their median
+    share   of all points around the object, by their nearness to it
     """
 
     origin: np.ndarray
     axes: np.ndarray
     spread: float
+    share: float = 1.0
 
     def points(self, at: np.ndarray) -> np.ndarray:
         """Points [m] (..., 3) of the surface at places (..., 2) [m]."""
@@ -101,9 +103,11 @@ def support_surfaces(
         origin, normal, spread = plane
         along = np.abs(normals @ normal) > PARALLEL
         on = along & (np.abs((points - origin) @ normal) < FLAT * ball.radius)
-        if near[on].sum() < SHARE * total:
+        share = float(near[on].sum() / total)
+        if share < SHARE:
             break
-        found.append(SupportSurface(ball.centre - normal * (normal @ (ball.centre - origin)), _frame(normal), spread))
+        foot = ball.centre - normal * (normal @ (ball.centre - origin))
+        found.append(SupportSurface(foot, _frame(normal), spread, share))
         points, normals, near = points[~along], normals[~along], near[~along]  # parallel ones: the same with noise
     return found
 
@@ -138,9 +142,10 @@ def normals_of(points: np.ndarray) -> np.ndarray:
 def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surroundings, rng):
     """Origin, normal towards the object, and spread of the plane that explains most points; None if none carries it.
 
-    Sample consensus with a truncated quadratic (MSAC) over planes through three points, and over the same planes moved
-    to where they touch the object; the score also counts the object's contact. Then weighted least squares, including
-    the object's points: its masks may cover most of the surface that it stands on.
+    Sample consensus with a truncated quadratic (MSAC) over planes through three points, over tangent planes at the
+    nearest points, and over the same planes moved to where they touch the object; the score also counts the object's
+    contact. Then weighted least squares, including the object's points: its masks may cover most of the surface that it
+    stands on.
     """
     flat = FLAT * ball.radius
     some = object_points[:: max(1, len(object_points) // OBJECT_POINTS)]
@@ -149,7 +154,9 @@ def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surr
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
     wide = length > 1e-3 * ball.radius**2
-    normals, origins = normals[wide] / length[wide, None], corners[wide, 0]
+    closest = np.argsort(-near)[:TRIALS]
+    normals = np.concatenate([normals[wide] / length[wide, None], own_normals[closest]])
+    origins = np.concatenate([corners[wide, 0], points[closest]])
     normals *= np.sign(((ball.centre - origins) * normals).sum(axis=1))[:, None]
     lowest = np.percentile(some @ normals.T, 3, axis=0)
     offsets = np.concatenate([(origins * normals).sum(axis=1), lowest])

@@ -1,32 +1,80 @@
-"""`vrgs.py fit`: the material of a real thing, from how markers on it moved."""
+"""`vrgs.py fit`: the material of a real thing, from a video of it or from how markers on it moved."""
 
 from __future__ import annotations
 
+import base64
 import sys
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+import scipy.sparse as sp
 
 from assets.asset import Asset
+from assets.camera_file import read_cameras
 from assets.file_access import atomic_write, check_writable
 from assets.library import default_material, find_asset
 from commands import options as cli
+from commands.segment import marked_photographs
+from core.camera import Camera
 from core.errors import BadInput
+from core.report import Section
 from core.runtime import start_taichi
+from display.picture import save_picture
+
+if TYPE_CHECKING:
+    from prepare.fit.clip_masks import Clip
+    from prepare.fit.clip_pictures import DrawnBody
+    from prepare.fit.marker_tracks import MarkerTracks
+
+GRAVITY = np.array([0.0, -9.81, 0.0])  # [m/s^2] of the world that a clip's camera stands in
+CLIP_STEPS = ("masks", "pose", "tracks")  # of the progress, before those of a fit
+MARKED = 4  # pictures of a clip that are shown to be marked
+VIDEO_ONLY = ("--camera", "--marks", "--part", "--fps", "--plane", "--release", "--preview")
 
 
 @dataclass(kw_only=True)
 class FitOptions(cli.Options):
     EXAMPLES = (
+        "fit bear.h5 clip.mp4 --camera cam.json --marks marks.json --out fitted.h5 --report fit.html",
+        "fit box.h5 clip.mp4 --camera c.json --marks m.json --plane 0.42 0.91 0 0 --out fitted.h5    down a board",
         "fit bear.h5 --from-trajectory points.npz --out fitted.h5 --report fit.html",
         "fit bear.h5 --from-trajectory points.npz --out fitted.h5 --density 85",
     )
+    CONDITIONS = (
+        cli.Condition(VIDEO_ONLY, lambda o: o.from_trajectory is None, "belongs to a video"),
+        cli.Condition(("--preview",), lambda o: o.report, "needs --report, which it writes"),
+    )
 
     asset: str = cli.argument("ASSET", "a prepared asset, or a shipped one by name")
-    from_trajectory: Path = cli.option("POINTS.npz", "tracked markers on it (docs/formats.md)", cli.REQUIRED)
+    video: Path | None = cli.argument(
+        "VIDEO", "one to four seconds of the thing, from a camera that stands still", None
+    )
+    from_trajectory: Path | None = cli.option("POINTS.npz", "in place of a video: tracked markers (docs/formats.md)")
+    camera: Path | None = cli.option("CAM.json", "the video's camera in a world with +y up [m], as of `render`")
+    marks: Path | None = cli.option(
+        "MARKS.json",
+        'strokes and boxes on the thing in frame_0000 and others, boxes of "held" around what stands still; by default '
+        "a window opens to draw them, and they are saved beside the video",
+    )
+    part: tuple[float, float] | None = cli.option(("BEGIN", "END"), "the part of the video that counts [s]")
+    fps: cli.Amount | None = cli.option("N", "pictures taken in a second, where the file plays slower or faster")
+    plane: list[list[float]] = cli.option(
+        ("X", "Y", "Z", "D"),
+        "the thing stays over this plane, normal (X, Y, Z): n x >= D [m]; once each",
+        [],
+        repeat=True,
+    )
+    release: float = cli.option(
+        "S", "when what is held is let go, from the first picture on [s] (default: never)", np.inf
+    )
     out: Path = cli.option("FITTED.h5", "the asset with the fitted material", cli.REQUIRED)
-    report: Path | None = cli.option("R.html", "page with the numbers, their intervals and curves")
+    report: Path | None = cli.option("R.html", "page with the numbers, their intervals, curves, masks and films")
+    preview: bool = cli.switch("only write the report's masks and how the thing was found; fit nothing")
     density: cli.Amount | None = cli.option(
         "RHO", "its density as weighed [kg/m^3]: motion under gravity alone shows only Young's modulus / density"
     )
@@ -40,12 +88,7 @@ def fit(options: FitOptions) -> None:
     from prepare.fit.material_fit import STEPS, MaterialProblem, fit_material
     from prepare.progress import Checkpoints, StepProgress
 
-    if options.out.suffix.lower() != ".h5":
-        raise BadInput(f"{options.out}: an asset's name ends in .h5")
-    if options.report and options.report.suffix.lower() != ".html":
-        raise BadInput(f"{options.report}: a report's name ends in .html")
-    for file in filter(None, (options.out, options.report)):
-        check_writable(file)
+    source = check_files(options)
     path = find_asset(options.asset)
     asset = Asset.load(path)
     if asset.cage is None:
@@ -53,20 +96,166 @@ def fit(options: FitOptions) -> None:
     material = asset.material or default_material(str(path))
     if options.density:
         material = replace(material, density=options.density)
-    tracks = read_tracks(options.from_trajectory)
-    start_taichi(options.arch)
+    how, filmed = {"asset": str(path), "material": repr(material)}, None
+    if options.video is None:
+        tracks, kept = read_tracks(options.from_trajectory), Checkpoints(source, how)
+        start_taichi(options.arch)
+        progress = StepProgress(STEPS)
+    else:
+        progress = StepProgress(CLIP_STEPS if options.preview else CLIP_STEPS + STEPS)
+        filmed = FilmedThing(options, asset, progress, how)
+        tracks, kept = filmed.tracks, filmed.kept
+        if options.preview:
+            write_page(options.report, page_of(None, tracks, Path(options.asset).stem, filmed.sections()))
+            print(f"wrote {options.report}", file=sys.stderr)
+            return
     simulator = Simulator(tracks)
-    where = str(options.from_trajectory)
-    problem = MaterialProblem(tracks, asset.cage.vertices, asset.cage.tets, material, simulator.roll, where)
-    kept = Checkpoints(options.from_trajectory, {"asset": str(path), "material": repr(material)})
-    found = fit_material(problem, StepProgress(STEPS), kept.step, mass_known=options.density is not None)
+    problem = MaterialProblem(tracks, asset.cage.vertices, asset.cage.tets, material, simulator.roll, str(source))
+    found = fit_material(problem, progress, kept.step, mass_known=options.density is not None)
     replace(asset, material=found.material).save(options.out)
     if options.report:
-        with atomic_write(options.report) as beside:
-            beside.write_text(page_of(found, tracks, Path(options.asset).stem), encoding="utf-8")
+        more = []
+        if filmed is not None:
+            whole = replace(problem.cage, weights=sp.identity(len(problem.cage.vertices), format="csr"))
+            more = [*filmed.sections(), filmed.films(simulator.roll(whole, found.played))]
+        write_page(options.report, page_of(found, tracks, Path(options.asset).stem, more))
     kept.clear()
     print("\n".join(lines_of(found)))
     print(f"wrote {options.out}" + (f" and {options.report}" if options.report else ""), file=sys.stderr)
+
+
+def check_files(options: FitOptions) -> Path:
+    """What is fitted: the video, or the tracks. Raises BadInput for options that do not go together."""
+    if (options.video is None) == (options.from_trajectory is None):
+        raise BadInput("give either a VIDEO or --from-trajectory POINTS.npz")
+    if options.video is not None and not options.camera:
+        raise BadInput(f"{options.video}: needs --camera CAM.json (docs/your_own.md)")
+    if options.part is not None and not 0 <= options.part[0] < options.part[1]:
+        raise BadInput("--part BEGIN END: BEGIN is 0 or more, and before END")
+    if not options.release > 0:
+        raise BadInput("--release S: is after the first picture")
+    if options.out.suffix.lower() != ".h5":
+        raise BadInput(f"{options.out}: an asset's name ends in .h5")
+    if options.report and options.report.suffix.lower() != ".html":
+        raise BadInput(f"{options.report}: a report's name ends in .html")
+    for file in filter(None, (options.out, options.report)):
+        check_writable(file)
+    for file in filter(None, (options.video, options.camera, options.marks, options.from_trajectory)):
+        if not file.is_file():
+            raise BadInput(f"{file}: no such file")
+    return options.video or options.from_trajectory
+
+
+def write_page(path: Path, page: str) -> None:
+    """Write a report. Raises BadInput."""
+    with atomic_write(path) as beside:
+        beside.write_text(page, encoding="utf-8")
+
+
+def mark_clip(clip: Clip, size: tuple[int, int], path: Path) -> None:
+    """Draw marks in a window, on some pictures of a clip in their size [px], and save them.
+
+    Raises BadInput without a display, Cancelled if the user leaves without saving.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        views = []
+        for k in np.linspace(0, len(clip.pictures) - 1, MARKED).round().astype(int):
+            view = SimpleNamespace(name=f"frame_{clip.first + k:04d}", image=Path(folder) / f"{k}.png")
+            save_picture(view.image, cv2.resize(clip.pictures[k], size))
+            views.append(view)
+        shown = SimpleNamespace(views=views, folder=Path(clip.where))
+        marked_photographs(shown, dict.fromkeys([v.name for v in views], size), path)
+
+
+class FilmedThing:
+    """A clip of the asset: where it is in the pictures, and how they compare with what was fitted."""
+
+    def __init__(self, options: FitOptions, asset: Asset, progress, how: dict[str, str]):
+        from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks
+        from prepare.fit.clip_pictures import DrawnBody
+        from prepare.fit.clip_tracks import clip_tracks
+        from prepare.fit.marker_tracks import MarkerTracks
+        from prepare.progress import Checkpoints
+
+        planes = np.array(options.plane, float).reshape(-1, 4)
+        lengths = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+        if not (np.isfinite(planes).all() and (lengths > 1e-9).all()):
+            raise BadInput("--plane: the normal of a plane is zero, or a number is not finite")
+        self.clip: Clip = read_clip(options.video, options.part, options.fps)
+        given, size = read_cameras(options.camera)[0], self.clip.size
+        if abs(given.width / given.height - size[0] / size[1]) > 0.01:
+            raise BadInput(
+                f"{options.camera}: is of pictures of {given.width}x{given.height}, which have another shape than"
+                f" {options.video}"
+            )
+        self.camera: Camera = given.resized(*size)
+        place = options.marks or options.video.with_suffix(".marks.json")
+        if not place.is_file():
+            mark_clip(self.clip, (given.width, given.height), place)
+        marks, held = read_clip_marks(place, self.clip, (given.width, given.height))
+        how |= {name: repr(getattr(options, name)) for name in ("part", "fps", "plane", "release")}
+        how |= {str(file): file.read_text(encoding="utf-8") for file in (options.camera, place)}
+        self.kept = Checkpoints(options.video, how)
+        keep = self.kept.step
+        self.masks = keep("masks", lambda: {"m": clip_masks(self.clip, marks, lambda d: progress("masks", d))})["m"]
+        progress("masks", 1.0)
+        start_taichi(options.arch)
+        self.drawn: DrawnBody = DrawnBody(asset, *size)
+        blank = MarkerTracks(
+            self.clip.times, None, None, held if len(held) else None, options.release, None, planes / lengths, GRAVITY,
+            self.camera,
+        )  # fmt: skip
+
+        def make() -> dict[str, np.ndarray]:
+            found = clip_tracks(self.drawn, asset, self.clip, self.masks, blank, progress)
+            return {name: np.asarray(getattr(found, name)) for name in ("points", "rest", "pose", "metres", "start")}
+
+        arrays = keep("tracks", make)
+        progress("tracks", 1.0)
+        self.tracks: MarkerTracks = replace(blank, **{**arrays, "metres": float(arrays["metres"])})
+
+    def sections(self) -> list[Section]:
+        """Masks and tracks in some pictures, and the body as it was found in the first, for the report."""
+        from prepare.fit.clip_pictures import mask_pictures
+
+        self.drawn.move(self.tracks.start)
+        found = self.drawn.over(self.clip.pictures[0] // 2, self.camera)
+        pictures = mask_pictures(self.clip, self.masks, self.tracks) | {"the asset as it was found at the start": found}
+        note = "Outlined: the mask. Dots: points of the surface that are followed."
+        return [Section("Where it is", pictures=pictures, note=note)]
+
+    def films(self, motion: np.ndarray) -> Section:
+        """The clip beside what was fitted, and with E halved and doubled; motion (F, 3, V, 3) of these."""
+        from prepare.fit.clip_pictures import backdrop_of
+
+        behind = backdrop_of(self.clip.pictures, self.masks)
+        made = np.zeros((3, *self.clip.pictures.shape), np.uint8)
+        for k in range(len(self.clip.pictures)):
+            for j in range(3):
+                self.drawn.move(motion[k, j])
+                made[j, k] = self.drawn.over(behind, self.camera)
+        off = np.abs(made[0].astype(np.int16) - self.clip.pictures).astype(np.uint8)
+        fps = (len(self.clip.times) - 1) / float(self.clip.times[-1])
+        films = {
+            "the clip, fitted, their difference": (self.clip.pictures, made[0], off),
+            "with half of Young's modulus, as fitted, with twice of it": (made[1], made[0], made[2]),
+        }
+        return Section("Films", pictures={text: film_of(rows, fps) for text, rows in films.items()})
+
+
+def film_of(films: tuple[np.ndarray, ...], fps: float) -> str:
+    """Films (F, H, W, 3) uint8 side by side, for a page: an element of HTML that holds them. Raises BadInput."""
+    from display.headless.video import Video
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"
+        height, width = films[0].shape[1:3]
+        video = Video(path, width * len(films), height, fps=max(1.0, fps), frames=len(films[0]))
+        for row in zip(*films, strict=True):
+            video.write(np.concatenate(row, 1))
+        video.close()
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f'<video controls loop muted autoplay playsinline src="data:video/mp4;base64,{data}"></video>'
 
 
 class Simulator:

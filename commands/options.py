@@ -138,10 +138,14 @@ def value_form(hint: Any, f: Field) -> dict[str, Any]:
         (hint,) = get_args(hint)
         if f.metadata["repeat"]:
             form["action"] = "append"
+            if get_origin(hint) is list:  # each of several values, as many as it names
+                form["nargs"], (hint,) = len(f.metadata["metavar"]), get_args(hint)
         else:
             form["nargs"] = "*" if f.metadata["positional"] and f.default_factory is not MISSING else "+"
     elif get_origin(hint) is tuple:
         form["nargs"], hint = len(get_args(hint)), get_args(hint)[0]
+    elif f.metadata["positional"] and f.default is None:
+        form |= {"nargs": "?", "default": None}  # argparse would take the word SUPPRESS for a value
     if f.metadata["bare"] is not None:
         form |= {"nargs": "?", "const": f.metadata["bare"]}
     if get_origin(hint) is Annotated:

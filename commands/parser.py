@@ -32,7 +32,7 @@ COMMANDS = {  # module and function, which takes the command's options as their 
     "export": ("commands.export:export", "write a played scene: splats, cages or surfaces, one frame or a sequence"),
     "bench": ("commands.measuring:bench", "measure speed and quality"),
     "figures": ("commands.measuring:figures", "make the paper's figures and tables, on one page"),
-    "fit": ("commands.fit:fit", "find the material of a real thing from how markers on it moved"),
+    "fit": ("commands.fit:fit", "find the material of a real thing from a video of it, or from markers"),
     "tune": ("commands.measuring:tune", "drop a body with a range of stiffnesses, and compare the results"),
     "materials": ("commands.listing:list_materials", "list the materials by name"),
     "check": ("commands.measuring:check", "measure the physics against theory and finite elements"),

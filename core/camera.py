@@ -52,6 +52,13 @@ class Camera:
         ahead = np.where(z > 1e-9, z, 1.0)
         return self.fx * local[..., 0] / ahead + self.cx, self.fy * local[..., 1] / ahead + self.cy, z
 
+    def slopes(self, points: np.ndarray) -> np.ndarray:
+        """Derivatives (N, 2, 3) [px/m] of the picture positions of points (N, 3) ahead of the camera."""
+        x, y, z = (points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]).T
+        zero = np.zeros_like(z)
+        rows = [[self.fx / z, zero, -self.fx * x / z**2], [zero, self.fy / z, -self.fy * y / z**2]]
+        return np.moveaxis(np.array(rows), 2, 0) @ self.world_to_camera[:3, :3]
+
     def points_at(self, depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Points (N, 3) in the world at the middles of the pixels (N,) x and y of a picture with depths (H, W) [m]."""
         z = depth[y, x].astype(np.float64)

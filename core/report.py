@@ -18,7 +18,7 @@ h1 { font-size: 1.7em; } h2 { margin-top: 2.2em; border-bottom: 1px solid #ccc8b
 .facts div { background: #fff; border-radius: 8px; padding: 12px 16px; } .facts b { display: block; font-size: 1.3em; }
 .facts span { color: #78746f; font-size: .85em; }
 figure { display: inline-block; width: min-content; margin: 0 10px 12px 0; vertical-align: top; }
-figure img, figure svg { display: block; max-width: min(1160px, 92vw); height: auto; border-radius: 4px; }
+figure img, figure svg, figure video { display: block; max-width: min(1160px, 92vw); height: auto; border-radius: 4px; }
 figcaption { font-size: .85em; color: #555; }
 svg text { font: 12px system-ui, sans-serif; fill: #666; }
 table { border-collapse: collapse; margin: 1em 0; font-variant-numeric: tabular-nums; }
@@ -26,7 +26,7 @@ th, td { padding: .25em .9em .25em 0; text-align: right; white-space: nowrap; bo
 th:first-child, td:first-child { text-align: left; }
 .note { color: #555; font-size: .9em; max-width: 60em; }
 """
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+POLICY = "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'"
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Section:
     table, and a note.
 
     facts     (value, label) each, shown large
-    pictures  (H, W, 3) uint8, or the text of an SVG drawing, which is not escaped
+    pictures  (H, W, 3) uint8, or the text of an SVG drawing or of a film's element, which is not escaped
     """
 
     title: str

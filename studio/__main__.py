@@ -3,6 +3,7 @@
 python -m studio ring_red
 python -m studio --detail paper ring_toss
 python -m studio --capture toys/          photographs, poses, masks, depths, what is behind each toy, its other sides
+python -m studio --films clips/           films of toys whose material is known, for `vrgs.py fit`
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--detail", choices=("shipped", "paper", "rough"), default="shipped", help=text)
     made.add_argument("--force", action="store_true", help="--detail paper: rebuild what is there already")
     made.add_argument("--arch", choices=("cuda", "cpu"), help="where kernels run")
+    text = "film moving toys, by names of clips, into this folder, with cameras, marks and truth"
+    made.add_argument("--films", type=Path, metavar="FOLDER", help=text)
     capture = made.add_argument_group("a capture whose truth is known")
     text = "photograph toys on a table, modelled and ray-cast, into this new folder, with masks, depths and truth.json"
     capture.add_argument("--capture", type=Path, metavar="FOLDER", help=text)
@@ -67,7 +70,10 @@ def picture_size(text: str) -> tuple[int, int]:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Build the assets `args.names` (all, if there are none) into `args.out`, or a capture. Raises BadInput."""
+    """Build the assets `args.names` (all, if there are none) into `args.out`, a capture, or films. Raises BadInput."""
+    if args.films is not None:
+        film_toys(args)
+        return
     check_package("studio", "open3d", "studio/requirements.txt")
     if args.capture is not None:
         build_capture(args)
@@ -118,6 +124,16 @@ def build_capture(args: argparse.Namespace) -> None:
         raise BadInput("--seed is 0 or more, --scale more than 0")
     write_procedural_capture(args.capture, CaptureOptions(**chosen, cut_out=args.cut_out), clock())
     print(f"{args.capture}: {chosen['views']} photographs of {chosen['size'][0]}x{chosen['size'][1]}")
+
+
+def film_toys(args: argparse.Namespace) -> None:
+    """Film the clips `args.names` (all, if there are none) into `args.films`. Raises BadInput."""
+    from studio.filmed_toys import CLIPS, film_toy
+
+    start_taichi(args.arch)
+    report = clock()
+    for name in args.names or CLIPS:
+        film_toy(name, args.films, report)
 
 
 def build_paper(names: list[str], out: Path | None, arch: str | None, *, force: bool = False) -> None:

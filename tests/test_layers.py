@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "render": {"core", "assets"},
     "display": {"core", "assets", "scenes", "sim", "render"},
     "prepare": {"core", "assets", "render"},
-    "studio": {"core", "assets", "scenes", "render", "prepare", "display"},
+    "studio": {"core", "assets", "scenes", "sim", "render", "prepare", "display"},
     "commands": {"core", "assets", "scenes", "sim", "render", "display", "prepare", "bench"},
     "bench": {"core", "assets", "scenes", "sim", "render", "display", "prepare"},
 }
@@ -28,10 +28,10 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_865, "assets": 5_040, "scenes": 2_220, "sim": 10_775, "render": 3_400, "prepare": 14_260,
-    "display": 13_700, "commands": 4_315, "bench": 3_400, "installer": 200, "tests": 35_400,
+    "core": 2_865, "assets": 5_040, "scenes": 2_220, "sim": 10_775, "render": 3_400, "prepare": 14_990,
+    "display": 13_700, "commands": 4_500, "bench": 3_400, "installer": 200, "tests": 35_970,
 }  # fmt: skip
-MOST_FILES = 304  # of the product
+MOST_FILES = 307  # of the product
 
 
 def product_files() -> list[Path]:

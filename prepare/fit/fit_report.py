@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from core.report import Section, Table, html_page
@@ -34,8 +36,10 @@ def lines_of(found: MaterialFit) -> list[str]:
     return lines
 
 
-def page_of(found: MaterialFit, tracks: MarkerTracks, name: str) -> str:
-    """The report, HTML."""
+def page_of(found: MaterialFit | None, tracks: MarkerTracks, name: str, more: Sequence[Section] = ()) -> str:
+    """The report, HTML, with more sections at its end; where nothing was fitted, of these alone."""
+    if found is None:
+        return html_page(f"{name} in a clip", "Not fitted yet: look whether it is where the masks are.", more)
     rows = [
         (n.name, *((f"{q:.3g}" for q in (n.value, n.low, n.high)) if n.seen else (UNSEEN, "", "")), n.unit)
         for n in found.numbers
@@ -59,8 +63,10 @@ def page_of(found: MaterialFit, tracks: MarkerTracks, name: str) -> str:
         Section(
             "Motion",
             pictures=curves,
-            note=f"Left over {1e3 * found.error:.2g} mm; noise of the markers {1e3 * found.noise:.2g} mm.",
+            note=f"Left over {1e3 * found.error:.2g} mm; noise of the markers {1e3 * found.noise:.2g} mm."
+            + (" In the picture, at the thing's distance." if tracks.camera else ""),
         ),
+        *more,
     ]
     return html_page(f"Material of {name}", lines_of(found)[0], sections)
 

@@ -58,12 +58,12 @@ class ElasticShape:
             mode = found[:, i].reshape(-1, 3)
             self.modes[k, self.free] = mode / np.sqrt((mode**2).sum(1).mean())
 
-    def through(self, embedding: sp.csr_matrix, displacement: np.ndarray) -> np.ndarray:
-        """The displacements (V, 3) [m] of least elastic energy of a cage that springs pull to those of markers (M, 3).
+    def through(self, embedding: sp.csr_matrix, slopes: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+        """The displacements (V, 3) [m] of least elastic energy of a cage that springs pull to those of markers.
 
-        embedding  the markers' weights, (M, V)
+        embedding  the markers' weights, (M, V);   slopes  what is seen of a marker's displacement, (M, D, 3)
         """
-        W = sp.kron(embedding[:, self.free], sp.identity(3)).tocsc()
+        W = (sp.block_diag(slopes) @ sp.kron(embedding[:, self.free], sp.identity(3))).tocsc()
         pull = MARKER_STIFFNESS * self.stiffness[0] * self.mass.sum() / max(len(displacement), 1)
         u = spla.spsolve((self.K + pull * (W.T @ W)).tocsc(), pull * (W.T @ displacement.ravel()))
         full = np.zeros_like(self.x)

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.spatial.transform import Rotation
 
+from core.camera import Camera
 from core.errors import BadInput
 from core.point_location import TetLocator
 from core.rotation import best_fit_rotation
@@ -17,11 +19,13 @@ START_FRAMES = 5  # through whose places a parabola gives the start: a place and
 FEWEST_FRAMES = 12
 OFF_THE_CAGE = 0.1  # of the body's extent: a marker further outside is on another body, or in other units
 LARGEST_FILE = 1 << 30  # [bytes]
+OUTLIER_PIXELS = 2.0  # [px] at which a point, seen in a picture, counts half for a pose
+NEIGHBOURS = 6  # markers, whose mean motion is taken from a marker's where its noise is estimated
 
 
 @dataclass(frozen=True)
 class MarkerTracks:
-    """Markers seen over time, in metres and seconds, in a world with y up.
+    """Markers seen over time, in metres and seconds, in a world with y up; or in the pictures of a camera.
 
     times    (F,) ascending;   points  (F, M, 3) places, NaN where a marker is not seen
     rest     (M, 3) where the markers are on the asset, in its frame
@@ -30,6 +34,9 @@ class MarkerTracks:
     pose     (4, 4) world_from_asset of the held part; None: of a free body, which is found
     planes   (P, 4) normal n and offset d of solid half spaces: the body stays in n x >= d
     gravity  (3,) [m/s^2]
+    camera   None; or what the pictures are taken with: points (F, M, 2) are then positions in them times `metres`, the
+             size of a pixel at the body's distance [m], and `held` (B, 4) boxes [px] in the first picture;
+             `start`, places of the cage's vertices at the first time, (V, 3), is then known
     """
 
     times: np.ndarray
@@ -40,11 +47,35 @@ class MarkerTracks:
     pose: np.ndarray | None
     planes: np.ndarray
     gravity: np.ndarray
+    camera: Camera | None = None
+    metres: float = 1.0
+    start: np.ndarray | None = None
 
     @property
     def seen(self) -> np.ndarray:
         """Whether a marker is seen, (F, M)."""
         return np.isfinite(self.points).all(2)
+
+    def observed(self, places: np.ndarray) -> np.ndarray:
+        """What of places (..., 3) [m] is compared with `points`, (..., D)."""
+        if self.camera is None:
+            return places
+        return self.metres * np.stack(self.camera.projected(places)[:2], -1)
+
+    def slopes(self, places: np.ndarray) -> np.ndarray:
+        """Derivatives (M, D, 3) of what is observed of places (M, 3)."""
+        if self.camera is None:
+            return np.tile(np.eye(3), (len(places), 1, 1))
+        return self.metres * self.camera.slopes(places)
+
+    def is_held(self, x: np.ndarray) -> np.ndarray:
+        """Which of the cage's vertices x (V, 3) at rest stand still, (V,) bool."""
+        if self.held is None:
+            return np.zeros(len(x), bool)
+        if self.camera is None:
+            return ((x >= self.held[0]) & (x <= self.held[1])).all(1)
+        u, v, _ = self.camera.projected(self.start)
+        return np.any([(u >= l) & (v >= t) & (u <= r) & (v <= b) for l, t, r, b in self.held], axis=0)
 
 
 OPTIONAL = {"held": (2, 3), "release": (), "pose": (4, 4), "planes": (None, 4), "gravity": (3,)}
@@ -106,26 +137,35 @@ def read_tracks(path: Path) -> MarkerTracks:
 
 def marker_weights(vertices: np.ndarray, tets: np.ndarray, rest: np.ndarray, where: str) -> sp.csr_matrix:
     """Weights (M, V) of the cage's vertices that give each marker; BadInput for one that is far from the cage."""
+    weights, away = surface_weights(vertices, tets, rest)
+    if away.max() > OFF_THE_CAGE * np.ptp(vertices, axis=0).max():
+        worst = int(away.argmax())
+        raise BadInput(f"{where}: marker {worst} is {100 * away.max():.1f} cm outside the asset: rest is in its frame")
+    return weights
+
+
+def surface_weights(vertices: np.ndarray, tets: np.ndarray, points: np.ndarray) -> tuple[sp.csr_matrix, np.ndarray]:
+    """Weights (M, V) of the cage's vertices that give points (M, 3), and how far these are outside the cage [m]."""
     locator = TetLocator(vertices, tets)
-    host = locator.find(rest)
+    host, away = locator.find(points), np.zeros(len(points))
     out = host < 0
     if out.any():
-        tet, sample = locator.nearest(rest[out])
-        host[out] = tet
-        away = np.linalg.norm(sample - rest[out], axis=1)
-        if away.max() > OFF_THE_CAGE * np.ptp(vertices, axis=0).max():
-            worst = int(np.flatnonzero(out)[away.argmax()])
-            raise BadInput(
-                f"{where}: marker {worst} is {100 * away.max():.1f} cm outside the asset: rest is in its frame"
-            )
-    weights = locator.weights(host, rest)
-    rows = np.repeat(np.arange(len(rest)), 4)
-    return sp.csr_matrix((weights.ravel(), (rows, locator.tets[host].ravel())), (len(rest), len(vertices)))
+        host[out], sample = locator.nearest(points[out])
+        away[out] = np.linalg.norm(sample - points[out], axis=1)
+    weights = locator.weights(host, points)
+    rows = np.repeat(np.arange(len(points)), 4)
+    shape = (len(points), len(vertices))
+    return sp.csr_matrix((weights.ravel(), (rows, locator.tets[host].ravel())), shape), away
 
 
 def noise_of(tracks: MarkerTracks) -> float:
     """Standard deviation [m] of a coordinate's noise, from third differences, which a smooth motion hardly has."""
-    third = np.diff(tracks.points, 3, axis=0)
+    points = tracks.points
+    if tracks.camera is not None:  # pictures are few in a period: what neighbours do as well is no noise
+        away = np.linalg.norm(tracks.rest[:, None] - tracks.rest[None], axis=2)
+        near = np.argsort(away, axis=1)[:, 1 : NEIGHBOURS + 1]
+        points = points - points[:, near].mean(2)
+    third = np.diff(points, 3, axis=0)
     third = third[np.isfinite(third)]
     spread = 1.4826 * np.median(np.abs(third)) / np.sqrt(20) if third.size else 0.0  # 1 + 9 + 9 + 1
     extent = np.nanmax(np.ptp(tracks.rest, axis=0))
@@ -133,9 +173,9 @@ def noise_of(tracks: MarkerTracks) -> float:
 
 
 def start_of(tracks: MarkerTracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places [m] and velocities [m/s] of the markers at the first time, (M, 3) each; and which are known, (M,)."""
+    """Places [m] and velocities [m/s] of the markers at the first time, (M, D) each; and which are known, (M,)."""
     t = tracks.times[:START_FRAMES] - tracks.times[0]
-    place, velocity = np.zeros_like(tracks.rest), np.zeros_like(tracks.rest)
+    place, velocity = np.zeros_like(tracks.points[0]), np.zeros_like(tracks.points[0])
     seen = tracks.seen[:START_FRAMES]
     known = seen.sum(0) >= 3
     for m in np.flatnonzero(known):
@@ -151,4 +191,34 @@ def rigid_pose(rest: np.ndarray, place: np.ndarray) -> np.ndarray:
     pose = np.eye(4)
     pose[:3, :3] = best_fit_rotation((place - b).T @ (rest - a))
     pose[:3, 3] = b - pose[:3, :3] @ a
+    return pose
+
+
+def posed(pose: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Points (..., 3) after a pose (4, 4)."""
+    return x @ pose[:3, :3].T + pose[:3, 3]
+
+
+def rigid_pose_seen(
+    camera: Camera, body: np.ndarray, seen: np.ndarray, pose: np.ndarray, rounds: int = 6
+) -> np.ndarray:
+    """The pose (4, 4) that takes points of the body (N, 3) to where they are seen (N, 2) [px]: Gauss-Newton from a
+    first pose, with weights of Cauchy."""
+    for _ in range(rounds):
+        at = posed(pose, body)
+        J, uv = camera.slopes(at), np.stack(camera.projected(at)[:2], -1)
+        r = seen - uv
+        w = 1 / (1 + (r**2).sum(1) / OUTLIER_PIXELS**2)
+        middle = at.mean(0)
+        arm = at - middle
+        cross = np.zeros((len(at), 3, 3))  # of a small turn: omega x arm
+        cross[:, [0, 1, 2], [1, 2, 0]], cross[:, [0, 1, 2], [2, 0, 1]] = arm[:, [2, 0, 1]], -arm[:, [1, 2, 0]]
+        A = np.concatenate([J, J @ cross], 2)
+        H = np.einsum("n,nri,nrj->ij", w, A, A)
+        step = np.linalg.solve(H + 1e-9 * np.diag(np.diag(H)), np.einsum("n,nri,nr->i", w, A, r))
+        turn = Rotation.from_rotvec(step[3:]).as_matrix()
+        new = np.eye(4)
+        new[:3, :3] = turn @ pose[:3, :3]
+        new[:3, 3] = turn @ (pose[:3, 3] - middle) + middle + step[:3]
+        pose = new
     return pose

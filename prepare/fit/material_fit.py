@@ -12,7 +12,15 @@ from core.errors import BadInput
 from core.material import RAYLEIGH_FREQUENCY, Material
 from prepare.fit.least_squares import BLOCKS, Fitted, Prior, minimise
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
-from prepare.fit.marker_tracks import MarkerTracks, marker_weights, noise_of, rigid_pose, start_of
+from prepare.fit.marker_tracks import (
+    MarkerTracks,
+    marker_weights,
+    noise_of,
+    posed,
+    rigid_pose,
+    rigid_pose_seen,
+    start_of,
+)
 from prepare.progress import Progress
 
 # The simulator: cage vertices and tets, held vertices, and for each candidate its material and its positions and
@@ -23,7 +31,7 @@ Roll = Callable[["CageOfMarkers", list[tuple[Material, np.ndarray, np.ndarray]]]
 STEPS = ("scan", "fit", "interval")  # of the progress
 YOUNG_RANGE, DAMPING_RANGE, FRICTION_RANGE = (1e2, 3e8), (0.02, 100.0), (0.0, 1.5)
 SCAN_FACTOR = 1.35  # from one Young's modulus of the scan to the next: 16% in frequency
-SCAN_RANGE = (3e2, 3e7)  # [Pa] at 100 kg/m^3 and a size of 10 cm, and with size^2 and density
+SCAN_RANGE = (5e1, 3e7)  # [Pa] at 100 kg/m^3 and a size of 10 cm, and with size^2 and density
 FINE_FACTORS = 1.1 ** np.arange(-3, 4)
 FINE_DAMPINGS = (0.5, 4.0)  # [1/s]
 FIRST_FRICTION = 0.25  # slides on most slopes: what sticks says nothing of how much less would let it slide
@@ -39,6 +47,7 @@ MOST_REFINED = 2_500  # vertices of a cage that is refined to see what its size 
 REFINED_FACTORS = (0.95, 1.0, 1.07, 1.15, 1.25, 1.4)  # a coarse cage is too stiff, so the thing is stiffer than it says
 CHORD_STEPS = 3
 FAR_OFF = 1e3  # [m]
+OFFSET = 0.5  # [px] by which a point of the surface is usually taken for another, where a clip begins
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +82,8 @@ class MaterialFit:
     """What was found: the asset's material with the numbers that are seen, all numbers, and what the report draws.
 
     scan      Young's moduli [Pa] and mean distances [m], (n, 2)
-    modelled  places of the markers [m], (F, M, 3);   by_factor  with E halved and doubled, by the factor
+    modelled  what is observed of the markers [m], (F, M, D);   by_factor  with E halved and doubled, by the factor
+    played    the candidates of those three: material, positions and velocities at the start
     error, moved  root mean squares [m]: what is left, and how far markers moved against the whole
     """
 
@@ -82,6 +92,7 @@ class MaterialFit:
     scan: np.ndarray
     modelled: np.ndarray
     by_factor: dict[float, np.ndarray]
+    played: list[tuple[Material, np.ndarray, np.ndarray]]
     error: float
     moved: float
     noise: float
@@ -98,7 +109,7 @@ class MaterialProblem:
         x, tets = np.asarray(vertices, np.float64), np.asarray(tets, np.int64)
         held = np.zeros(0, np.int64)
         if tracks.held is not None:
-            held = np.flatnonzero(((x >= tracks.held[0]) & (x <= tracks.held[1])).all(1))
+            held = np.flatnonzero(tracks.is_held(x))
             if len(held) < 3:
                 raise BadInput(
                     f"{where}: the held box contains {len(held)} vertices of the cage; at least 3 are needed"
@@ -139,10 +150,14 @@ class MaterialProblem:
         free = not len(c.held)
         pose = rigid_pose(t.rest[known], place[known]) if free and t.pose is None else t.pose
         pose = np.eye(4) if pose is None else pose
-        R, shift = pose[:3, :3], pose[:3, 3]
+        R = pose[:3, :3]
         W = c.weights[known]
-        u = self.shape.through(W, (place[known] - shift) @ R - t.rest[known])
-        self.x0 = (c.vertices + u) @ R.T + shift
+        if t.start is None:
+            turned = posed(pose, t.rest[known])
+            self.x0 = posed(pose, c.vertices + self.shape.through(W, t.slopes(turned) @ R, place[known] - turned))
+        else:
+            self.x0 = t.start
+        seen = t.slopes(W @ self.x0)
         speed = max(0.02 * float(np.sqrt((velocity[known] ** 2).mean())), 2e-3 * self.size / 0.1)
         fields = []
         v = np.zeros_like(self.x0)
@@ -150,11 +165,11 @@ class MaterialProblem:
             r = self.x0 - self.x0.mean(0)
             rigid = [np.tile(axis, (len(r), 1)) for axis in np.eye(3)]
             rigid += [np.cross(axis, r) / (self.size / 2) for axis in np.eye(3)]
-            A = np.stack([(W @ field).ravel() for field in rigid], 1)
+            A = np.stack([np.einsum("mij,mj->mi", seen, W @ field).ravel() for field in rigid], 1)
             amount = np.linalg.lstsq(A, velocity[known].ravel(), rcond=None)[0]
             v = np.tensordot(amount, np.stack(rigid), 1)
             fields += [(0 * r, speed * field) for field in rigid]
-        v += self.shape.through(W, (velocity[known] - W @ v) @ R) @ R.T
+        v += self.shape.through(W, seen @ R, velocity[known] - np.einsum("mij,mj->mi", seen, W @ v)) @ R.T
         self.v0 = v
         for mode in self.shape.modes @ R.T:
             fields += [(2e-3 * self.size * mode, 0 * mode), (0 * mode, speed * mode)]
@@ -185,31 +200,54 @@ class MaterialProblem:
 
     def residuals(self, thetas: np.ndarray) -> np.ndarray:
         """Places less those seen, (C, N) in units of the noise; NaN where a marker is not seen."""
-        places = np.nan_to_num(self.places(thetas), nan=FAR_OFF)  # of what exploded: NaN would count as not seen
-        off = (places - self.tracks.points) / self.noise
-        return off.reshape(len(thetas), -1)
+        return self.compared(self.places(thetas))
+
+    def compared(self, places: np.ndarray) -> np.ndarray:
+        """Residuals (C, N) of places of the markers (C, F, M, 3)."""
+        return self.off(places).reshape(len(places), -1) / self.noise
+
+    def off(self, places: np.ndarray) -> np.ndarray:
+        """What is observed of places (C, F, M, 3) [m] less what was seen, (C, F, M, D) [m].
+
+        In pictures it is not known exactly which point of the surface a marker is. With offsets of a spread p in noise
+        s, r - m + m s / sqrt(s^2 + n p^2), of mean m over n pictures, has independent entries again.
+        """
+        t = self.tracks
+        seen = np.nan_to_num(t.observed(places), nan=FAR_OFF)  # of what exploded: NaN would count as not seen
+        off = seen - t.points
+        if t.camera is not None:
+            n = np.maximum(t.seen.sum(0), 1)[:, None]
+            mean = np.nansum(off, axis=1, keepdims=True) / n
+            off -= mean * (1 - self.noise / np.sqrt(self.noise**2 + n * (OFFSET * t.metres) ** 2))
+        return off
 
     def blocks(self) -> np.ndarray:
         """The stretch of time of each residual, (N,)."""
-        frames, markers, _ = self.tracks.points.shape
-        return np.repeat(np.arange(frames) * BLOCKS // frames, 3 * markers)
+        frames, *each = self.tracks.points.shape
+        return np.repeat(np.arange(frames) * BLOCKS // frames, np.prod(each))
 
 
 def inner_motion(tracks: MarkerTracks) -> float:
     """Root mean square [m] of how markers move against the held part, or the nearest rigid motion in each frame."""
-    squares, held = [], tracks.held is not None and not np.isfinite(tracks.release)
+    squares, held, pose = [], tracks.held is not None and not np.isfinite(tracks.release), tracks.pose
     for points, seen in zip(tracks.points, tracks.seen, strict=True):
         if held:
             squares.append(((points - np.nanmean(tracks.points, 0)) ** 2)[seen].sum(1).mean())
         elif seen.sum() >= 4:
-            pose = rigid_pose(tracks.rest[seen], points[seen])
-            squares.append(((points[seen] - tracks.rest[seen] @ pose[:3, :3].T - pose[:3, 3]) ** 2).sum(1).mean())
+            if tracks.camera is None:
+                pose = rigid_pose(tracks.rest[seen], points[seen])
+            else:
+                pose = rigid_pose_seen(tracks.camera, tracks.rest[seen], points[seen] / tracks.metres, pose)
+            off = points[seen] - tracks.observed(posed(pose, tracks.rest[seen]))
+            squares.append((off**2).sum(1).mean())
     return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 
-def windowed(residuals: np.ndarray, frames: int) -> np.ndarray:
-    """Mean distance in the first quarter, the first half and all of the frames, (C, 3); a short time has few minima."""
-    off = np.sqrt(np.nansum(residuals.reshape(len(residuals), frames, -1, 3) ** 2, axis=3))
+def windowed(residuals: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Mean distance from points (F, M, D) in the first quarter, the first half and all of the frames, (C, 3); a short
+    time has few minima."""
+    frames = len(points)
+    off = np.sqrt(np.nansum(residuals.reshape(-1, *points.shape) ** 2, axis=3))
     off = np.where(np.isfinite(off), off, 1e6)
     return np.stack([off[:, : -(-frames // part)].mean((1, 2)) for part in (4, 2, 1)], 1)
 
@@ -235,7 +273,7 @@ def first_guess(problem: MaterialProblem, start: np.ndarray, thetas: np.ndarray,
                 theta[:2] = theta[0] + np.log(factor), np.log(damping)
                 fine.append(theta)
     fine = np.clip(fine, problem.prior.low, problem.prior.high)
-    scores = np.log(windowed(problem.residuals(fine), len(problem.tracks.times))).sum(1)
+    scores = np.log(windowed(problem.residuals(fine), problem.tracks.points)).sum(1)
     return fine[int(scores.argmin())]
 
 
@@ -244,7 +282,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
 
     Raises BadInput where the motion is that of another thing.
     """
-    frames, youngs = len(problem.tracks.times), scan_youngs(problem)
+    tracks, youngs = problem.tracks, scan_youngs(problem)
 
     def scan() -> dict[str, np.ndarray]:
         start = problem.prior.centre.copy()
@@ -254,7 +292,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
         progress("scan", 0.3)
         thetas = np.tile(start, (len(youngs), 1))
         thetas[:, 0] = np.log(youngs)
-        scores = windowed(problem.residuals(thetas), frames)
+        scores = windowed(problem.residuals(thetas), tracks.points)
         progress("scan", 0.6)
         return {"scores": scores, "guess": first_guess(problem, start, thetas, scores)}
 
@@ -271,10 +309,10 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     fitted = Fitted(**{**kept, "scale": float(kept["scale"]), "steps": int(kept["steps"])})
     theta = fitted.theta
     played = [theta, theta - np.log(2) * np.eye(len(theta))[0], theta + np.log(2) * np.eye(len(theta))[0]]
-    modelled, halved, doubled = problem.places(np.stack(played))
-    off = modelled - problem.tracks.points
-    error = float(np.sqrt(np.nanmean((off**2).sum(2))))
-    travel = float(np.sqrt(np.nanmean(((problem.tracks.points - np.nanmean(problem.tracks.points, 0)) ** 2).sum(2))))
+    places = problem.places(np.stack(played))
+    modelled, halved, doubled = tracks.observed(places)
+    error = float(np.sqrt(np.nanmean((problem.off(places)[0] ** 2).sum(2))))
+    travel = float(np.sqrt(np.nanmean(((tracks.points - np.nanmean(tracks.points, 0)) ** 2).sum(2))))
     moved = max(problem.inner, 0.25 * travel)
     if error > UNLIKE * moved + 3 * problem.noise:
         raise BadInput(
@@ -284,7 +322,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     progress("interval", 0.2)
     shift = keep("cage", lambda: {"shift": cage_shift(problem, fitted)})["shift"]
     progress("interval", 1.0)
-    left = np.sqrt(max(error**2 - 3 * problem.noise**2, 0.0))
+    left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
     numbers = numbers_of(problem, fitted, shift, mass_known, left)
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
     return MaterialFit(
@@ -293,6 +331,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
         scan=np.column_stack([youngs, scanned["scores"][:, 2] * problem.noise]),
         modelled=modelled,
         by_factor={0.5: halved, 2.0: doubled},
+        played=[problem.candidate(t) for t in played],
         error=error,
         moved=moved,
         noise=problem.noise,
@@ -316,8 +355,7 @@ def cage_shift(problem: MaterialProblem, fitted: Fitted) -> np.ndarray:
 
     def residuals(thetas: np.ndarray) -> np.ndarray:
         made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, thetas)]
-        off = np.nan_to_num(np.moveaxis(problem.roll(fine, made), 1, 0), nan=FAR_OFF) - problem.tracks.points
-        return off.reshape(len(thetas), -1) / problem.noise
+        return problem.compared(np.moveaxis(problem.roll(fine, made), 1, 0))
 
     first = fitted.theta[None] + np.log(REFINED_FACTORS)[:, None] * np.eye(len(fitted.theta))[0]
     losses = np.nanmean(np.abs(residuals(first)), axis=1)
@@ -347,7 +385,7 @@ def numbers_of(
     lag = min(1 / RAYLEIGH_FREQUENCY**2, LONGEST_LAG / np.exp(fitted.theta[1]))  # [s^2] of inner friction / damping
     half[1] = np.hypot(half[1], slowest * lag)
     if problem.rubs:
-        per_unit = problem.noise * np.sqrt(3 * (fitted.jacobian[:, 2] ** 2).mean())  # [m]
+        per_unit = problem.noise * np.sqrt(problem.tracks.points.shape[2] * (fitted.jacobian[:, 2] ** 2).mean())  # [m]
         half[2] = np.hypot(half[2], left / max(per_unit, 1e-9))
     explained, rigid = left**2 < UNEXPLAINED * problem.inner**2, problem.inner < STILL * problem.noise
     found = []

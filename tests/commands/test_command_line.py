@@ -30,7 +30,8 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "segment": "--help --marks --out",
     "bench": "--help --arch --json",
     "figures": "--help --arch --capture --out --quick",
-    "fit": "--help --from-trajectory --out --report --density --arch",
+    "fit": "--help --from-trajectory --camera --marks --part --fps --plane --release --out --report --preview --density"
+    " --arch",
     "tune": "--help --arch --height --json --material --out --young",
     "materials": "--help",
     "check": "--help --arch --json --quick",

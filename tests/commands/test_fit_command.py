@@ -1,13 +1,28 @@
 """`vrgs.py fit`: a beam's material from its motion by theory, the report, and what is refused."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from assets.asset import Asset, Cage
+from assets.camera_file import write_cameras
+from commands.marking import state_of
 from commands.parser import parse
 from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import boundary_surface
+from tests.support.filmed_block import (
+    FPS,
+    FRAMES,
+    TRUE,
+    camera_of,
+    let_go,
+    marks_of,
+    speckled_block,
+    stiffer,
+    write_film,
+)
 from tests.support.samples import random_gaussians, tet_bar
 
 LENGTH, SIDE, YOUNG, DENSITY, DAMPING = 0.24, 0.03, 2.5e4, 250.0, 1.5
@@ -85,3 +100,94 @@ def test_what_is_wrong_is_said_in_one_line(ti_cpu, folder, tmp_path, words, said
     with pytest.raises(BadInput, match=said) as e:
         run("fit " + words.format(f=folder, t=tmp_path))
     assert "\n" not in str(e.value) and not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def filmed(ti_cpu, tmp_path_factory):
+    """An asset four times too stiff, and a film of it as it is held at one end and let go."""
+    path = tmp_path_factory.mktemp("film")
+    asset = stiffer(speckled_block(TRUE), 4.0)
+    asset.save(path / "block.h5")
+    write_film(path, asset, let_go(asset, np.arange(FRAMES) / FPS), camera_of())
+    return path
+
+
+VIDEO = "fit {f}/block.h5 {f}/clip.mp4 --camera {f}/camera.json --marks {f}/marks.json --out {t}/o.h5"
+
+
+def test_a_preview_shows_where_the_thing_is_and_fits_nothing(filmed, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    run(VIDEO.format(f=filmed, t=tmp_path) + f" --preview --report {tmp_path}/r.html")
+    page = (tmp_path / "r.html").read_text()
+    assert page.count("<img") == 7 and "frame_0000" in page and not (tmp_path / "o.h5").exists()
+    assert "scan" not in capsys.readouterr().err
+    monkeypatch.setattr("prepare.fit.clip_masks.clip_masks", None)  # what was found is kept for the fit
+    run(VIDEO.format(f=filmed, t=tmp_path) + f" --preview --report {tmp_path}/r.html")
+
+
+def test_without_marks_pictures_are_shown_to_be_marked(filmed, tmp_path, monkeypatch):
+    """A window's marks, which are saved beside the video for the next time."""
+    shutil.copy(filmed / "clip.mp4", tmp_path / "c.mp4")
+    write_cameras(tmp_path / "camera.json", [camera_of().resized(320, 240)])
+    shown, marks = [], marks_of(camera_of().resized(320, 240), let_go(speckled_block(TRUE), np.zeros(1)), (0,))
+
+    def marked(subject, edit, title, size):
+        shown.extend((subject.views, subject.size, title))
+        return state_of(marks, {})
+
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("commands.marking.check_window", lambda: None)
+    monkeypatch.setattr("display.mark.mark_window.marked_in_window", marked)
+    words = f"fit {filmed}/block.h5 {tmp_path}/c.mp4 --camera {tmp_path}/camera.json --out {tmp_path}/o.h5"
+    for _ in range(2):
+        run(words + f" --preview --report {tmp_path}/r.html")
+    assert shown == [["frame_0000", "frame_0014", "frame_0027", "frame_0041"], (320, 240), "Mark c.mp4"]
+    assert (tmp_path / "c.marks.json").is_file() and "frame_0000" in (tmp_path / "r.html").read_text()
+
+
+@pytest.mark.long
+def test_the_material_of_a_block_is_found_from_a_film(filmed, tmp_path, capsys, monkeypatch):
+    """The truth moves by the cage that is fitted, so the file's modulus is compared, which suits that."""
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    run(VIDEO.format(f=filmed, t=tmp_path) + f" --report {tmp_path}/r.html")
+    found = Asset.load(tmp_path / "o.h5").material
+    np.testing.assert_allclose(found.young, TRUE.young, rtol=0.1)
+    np.testing.assert_allclose(found.damping, TRUE.damping, rtol=0.3)
+    page = (tmp_path / "r.html").read_text()
+    assert page.count("<video") == 2 and page.count("<svg") == 4 and "nan" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("fit {f}/block.h5 --out {t}/o.h5", "give either a VIDEO or --from-trajectory"),
+        (VIDEO.replace(" --camera {f}/camera.json", ""), "needs --camera CAM.json"),
+        (VIDEO.replace(" --marks {f}/marks.json", ""), "no display to mark objects on: --marks MARKS.json"),
+        (VIDEO + " --preview", "--preview needs --report"),
+        (VIDEO + " --plane 0 0 0 1", "the normal of a plane is zero"),
+        (VIDEO + " --part 0.1 0.2", "7 pictures; at least 12"),
+        (VIDEO + " --part nan 0.2", "BEGIN is 0 or more, and before END"),
+        (VIDEO + " --release 0", "is after the first picture"),
+        (VIDEO.replace("clip.mp4", "none.mp4"), "none.mp4: no such file"),
+        (VIDEO.replace("clip.mp4", "marks.json", 1), "cannot be read as a video"),
+        (VIDEO.replace("camera.json", "wide.json"), "which have another shape"),
+        ("fit {f}/block.h5 --from-trajectory p.npz --part 0 1 --out {t}/o.h5", "--part belongs to a video"),
+    ],
+)
+def test_what_is_wrong_with_a_film_is_said_in_one_line(filmed, tmp_path, words, said, monkeypatch):
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
+    write_cameras(filmed / "wide.json", [camera_of().resized(400, 100)])
+    with pytest.raises(BadInput, match=said) as e:
+        run(words.format(f=filmed, t=tmp_path))
+    assert "\n" not in str(e.value) and not (tmp_path / "o.h5").exists()
+
+
+def test_a_film_in_which_nothing_moves_is_refused(filmed, tmp_path, monkeypatch):
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    asset = stiffer(speckled_block(TRUE), 4.0)
+    still = np.tile(asset.cage.vertices.astype(float), (24, 1, 1))
+    write_film(tmp_path, asset, still, camera_of(), marked=(0,))
+    words = VIDEO.format(f=filmed, t=tmp_path).replace(f"{filmed}/clip", f"{tmp_path}/clip")
+    with pytest.raises(BadInput, match="nothing deforms: markers move by"):
+        run(words.replace(f"{filmed}/marks", f"{tmp_path}/marks"))

@@ -1,0 +1,173 @@
+"""Films of modelled toys whose material is known, as a telephone would take them: the truth of `vrgs.py fit`.
+
+What moves them differs from what fits them: the cage is cut in eight, and the integrator is XPBD with its own, shorter
+substeps. Pictures are blurred by lens and shutter, are noisy, and are compressed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from assets.asset import Asset
+from assets.camera_file import write_cameras
+from assets.file_access import make_folder
+from assets.library import find_asset
+from core.camera import Camera, look_at, perspective
+from core.errors import BadInput
+from core.material import Material
+from display.headless.video import Video
+from prepare.fit.clip_pictures import DrawnBody
+from prepare.fit.linear_elasticity import subdivided
+from prepare.segment.marks import Marks, ViewMarks, write_marks
+from sim.rollouts import Candidate, Rollouts
+from studio.stroke_marks import stroke_within
+
+SHUTTER, EXPOSURES = 1 / 120, 3  # [s] that a picture takes, and the moments of it that are drawn
+LENS_BLUR, NOISE = 0.6, 2.0 / 255  # [px], and of a channel 0..1
+
+
+@dataclass(frozen=True)
+class FilmedToy:
+    """A clip: a shipped asset, what it is made of, and how it moves.
+
+    held     share of its height, from the top, that stands still; 0: it is free
+    push     [m/s] in x, y, z of the free end at the start, or of all of a free body;   spin  [rad/s] of a free body
+    bend     [m] by which a free body is bent at the start
+    tilt     [degrees] of the board that it slides down; None: there is none
+    turn     [degrees] about the vertical;   before  [s] that have passed when the film begins
+    """
+
+    asset: str
+    young: float
+    damping: float
+    friction: float = 0.5
+    held: float = 0.0
+    push: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bend: float = 0.0
+    tilt: float | None = None
+    turn: float = 0.0
+    before: float = 0.0
+    seconds: float = 1.0
+
+
+CLIPS = {
+    "rabbit_hung": FilmedToy("rabbit", 5e3, 3.0, held=0.25, push=(0.5, 0.0, 0.25), turn=25.0),
+    "cat_hung": FilmedToy("toy_cat", 1.5e4, 6.0, held=0.2, push=(1.6, 0.0, 0.6), turn=-20.0),
+    "teddy_hung": FilmedToy("toy_teddy", 8e3, 4.0, held=0.3, push=(0.9, 0.0, 0.3), turn=15.0),
+    "penguin_hung": FilmedToy("toy_penguin", 3e4, 3.0, held=0.25, push=(1.8, 0.0, 0.5), turn=-35.0),
+    "parcel_sliding": FilmedToy("box_parcel", 4e4, 20.0, friction=0.25, tilt=25.0, turn=0.0, seconds=0.8),
+    "cat_thrown": FilmedToy(
+        "toy_cat", 1.5e4, 6.0, push=(0.6, 1.5, 0.0), spin=(0.0, 0.0, -1.5), bend=0.015, seconds=0.5
+    ),
+}
+
+
+def film_toy(name: str, folder: Path, report: Callable[[str], None], *, size=(480, 360), fps=30.0, seed=0) -> None:
+    """Write NAME.mp4, its camera, strokes in two of its pictures, and the truth into a folder. Taichi must be running.
+
+    Raises BadInput.
+    """
+    if name not in CLIPS:
+        raise BadInput(f"{name}: no such clip; there are {', '.join(CLIPS)}")
+    make_folder(folder)
+    clip = CLIPS[name]
+    asset = Asset.load(find_asset(clip.asset))
+    body = replace(asset.material, young=clip.young, damping=clip.damping, friction=clip.friction)
+    body = replace(body, kinetic_friction=None)
+    count, rng = round(clip.seconds * fps), np.random.default_rng(seed)
+    moments = (np.arange(EXPOSURES) - EXPOSURES // 2) * SHUTTER / EXPOSURES
+    times = (np.arange(count)[:, None] / fps + moments - moments[0]).ravel()
+    moving, held, planes = motion_of(clip, asset, body, times)
+    report(f"{name}: moved")
+    camera = camera_for(moving, size)
+    background = backdrop(camera, rng)
+    drawn = DrawnBody(asset, *size)
+    video = Video(folder / f"{name}.mp4", *size, fps=fps, frames=count)
+    alphas = []
+    for k in range(count):
+        exposures = []
+        for x in moving[k * EXPOSURES : (k + 1) * EXPOSURES]:
+            drawn.move(x)
+            exposures.append(drawn.picture(camera))
+        alpha = np.mean([a for _, a, _ in exposures], 0)
+        picture = np.mean([rgb for rgb, _, _ in exposures], 0) + (1 - alpha[..., None]) * background
+        picture = cv2.GaussianBlur(picture, (0, 0), LENS_BLUR) + NOISE * rng.normal(size=picture.shape)
+        video.write((picture.clip(0, 1) * 255 + 0.5).astype(np.uint8))
+        alphas.append(alpha > 0.5)
+    video.close()
+    drawn.destroy()
+    write_cameras(folder / f"{name}.camera.json", [camera])
+    write_marks(folder / f"{name}.marks.json", marks_on(alphas, asset, moving, held, camera))
+    truth = {"clip": asdict(clip), "density": body.density, "planes": planes.tolist(), "start": moving[0].tolist()}
+    (folder / f"{name}.truth.json").write_text(json.dumps(truth), encoding="utf-8")
+    report(f"{name}: filmed, {count} pictures")
+
+
+def motion_of(clip: FilmedToy, asset: Asset, material: Material, times: np.ndarray):
+    """Places of the asset's cage (F, V, 3) [m] at the times [s], its held vertices, and the planes (P, 4)."""
+    x, tets, _ = subdivided(asset.cage.vertices, asset.cage.tets)
+    top, bottom = x[:, 1].max(), x[:, 1].min()
+    height = top - bottom
+    held = np.flatnonzero(x[:, 1] >= top - clip.held * height) if clip.held else np.zeros(0, np.int64)
+    planes = np.zeros((0, 4))
+    c, s = np.cos(np.radians(clip.turn)), np.sin(np.radians(clip.turn))
+    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    start = x @ turn.T
+    if clip.tilt is not None:
+        a = np.radians(clip.tilt)
+        lean = np.array([[np.cos(a), np.sin(a), 0], [-np.sin(a), np.cos(a), 0], [0, 0, 1]])
+        start = start @ lean.T
+        planes = np.array([[np.sin(a), np.cos(a), 0.0, 0.0]])
+        start -= (start @ planes[0, :3]).min() * planes[0, :3]
+    v = np.tile(np.asarray(clip.push, float), (len(x), 1))
+    if clip.held:
+        v *= ((top - x[:, 1:2]) / height) ** 1.5
+    v += np.cross(clip.spin, start - start.mean(0))
+    start += clip.bend * np.cos(2 * np.pi * (x[:, 1:2] - bottom) / height) * [1.0, 0.0, 0.0]
+    rollouts = Rollouts(x, tets, held, 1, planes=planes, integrator="xpbd")
+    own = len(asset.cage.vertices)
+    found = rollouts.run([Candidate(material, start, v)], np.r_[0.0, times + clip.before], lambda q: q[:, :own])
+    rollouts.destroy()
+    return found[1:, 0], held[held < own], planes
+
+
+def camera_for(moving: np.ndarray, size: tuple[int, int]) -> Camera:
+    """A camera that keeps the whole motion (F, V, 3) in the picture, from the front and a little above."""
+    low, high = moving.min((0, 1)), moving.max((0, 1))
+    middle = (low + high) / 2
+    away = 1.3 * max(high[1] - low[1], (high[0] - low[0]) * size[1] / size[0]) + (high[2] - low[2]) / 2
+    eye = middle + away * np.array([0.12, 0.16, 1.0])
+    return perspective(*size, np.radians(50), look_at(eye, middle))
+
+
+def backdrop(camera: Camera, rng: np.random.Generator) -> np.ndarray:
+    """A wall and a table in soft mottled colours, (H, W, 3) 0..1."""
+    height, width = camera.height, camera.width
+    picture = np.tile(np.array([0.70, 0.62, 0.50]), (height, width, 1))
+    picture[int(0.78 * height) :] = [0.30, 0.34, 0.40]
+    for scale, strength in ((90, 0.05), (24, 0.025), (6, 0.015)):
+        shape = (height // scale + 2, width // scale + 2)
+        coarse = rng.normal(size=(*shape, 1)) + 0.3 * rng.normal(size=(*shape, 3))
+        picture += strength * cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return picture.clip(0.02, 0.98)
+
+
+def marks_on(alphas: list[np.ndarray], asset: Asset, moving, held: np.ndarray, camera: Camera) -> Marks:
+    """A stroke on the toy and a box around it in the first picture and in one in the middle; a box of what is held."""
+    marks, size = Marks({"toy": {}}), [camera.width, camera.height] * 2
+    for k in (0, len(alphas) // 2):
+        x, y, w, h = cv2.boundingRect(alphas[k].astype(np.uint8))
+        box = np.array([x - 5, y - 5, x + w + 5, y + h + 5], float).clip(0, size)
+        marks.objects["toy"][f"frame_{k:04d}"] = ViewMarks([stroke_within(alphas[k])], boxes=[box])
+    if len(held):
+        u, v, _ = camera.projected(moving[0][held])
+        box = np.array([u.min(), v.min(), u.max(), v.max()]) + [-4, -4, 4, 1]
+        marks.objects["held"] = {"frame_0000": ViewMarks(boxes=[box.clip(0, size)])}
+    return marks

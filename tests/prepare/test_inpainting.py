@@ -125,11 +125,17 @@ def test_where_two_holes_overlap_the_second_shows_what_was_painted_in_the_first(
 
 
 def test_what_an_object_stands_on_has_the_hole():
-    def texture(hole: bool, rim: float = 1.0) -> SurfaceTexture:
-        return SurfaceTexture(None, np.zeros(2), 0.5, None, np.full((3, 4), not hole), np.full((3, 4), hole), rim)
+    """Known around it, and with many of the points around: not a plane through a neck, or the fur of its own side."""
 
-    side, table, wall, fur = texture(False), texture(True, 0.8), texture(True, 0.9), texture(True, 0.3)
-    assert [id(t) for t in with_hole_first([fur, side, table, wall])] == [id(t) for t in (table, wall, fur, side)]
+    def texture(hole: bool, rim: float = 1.0, share: float = 0.5) -> SurfaceTexture:
+        surface = SupportSurface(np.zeros(3), np.eye(3), 0.01, share)
+        return SurfaceTexture(surface, np.zeros(2), 0.5, None, np.full((3, 4), not hole), np.full((3, 4), hole), rim)
+
+    side, table, fur = texture(False), texture(True, 0.8), texture(True, 0.3)
+    wall, neck = texture(True, 0.47, 0.2), texture(True, 0.55, 0.09)
+    assert [id(t) for t in with_hole_first([neck, fur, side, table, wall])] == list(
+        map(id, (table, fur, wall, neck, side))
+    )
 
 
 def test_only_what_no_camera_saw_is_a_hole(closed):

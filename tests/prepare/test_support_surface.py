@@ -99,8 +99,9 @@ def test_clutter_is_no_support(planes):
 
 
 def test_a_floor_is_found_among_clutter(planes):
-    for found in planes(clutter(), level(800, -1.0), seeds=range(1, 6)):
-        assert height(found[0]) == pytest.approx(-1.0, abs=0.04)
+    """Three points of it are seldom drawn, but each of its points beside the ball tells the plane."""
+    for found in planes(clutter(), level(500, -1.0), seeds=range(1, 9)):
+        assert height(found[0]) == pytest.approx(-1.0, abs=0.02)
 
 
 def test_normals_are_of_the_surface_and_not_of_its_noise():

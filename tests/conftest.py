@@ -1,6 +1,7 @@
 """Shared fixtures: Taichi on the CPU once per process, and the optional folder of test data."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ import core  # noqa: F401  before Taichi, in whose place VRGS_BACKEND may put an
 from tests.support.runtime import runtime
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # also in programs that tests start
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs and their children ignore it
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

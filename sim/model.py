@@ -322,11 +322,6 @@ class Model:
         """The shortest time [s] in which a pressure wave crosses a body."""
         return min((p.crossing_time for p in self.bodies), default=np.inf)
 
-    @cached_property
-    def retardation(self) -> float:
-        """The least Kelvin-Voigt time [s] of the bodies' inner friction."""
-        return min((p.material.retardation_time for p in self.bodies), default=0.0)
-
     def columns(self) -> dict[str, np.ndarray]:
         """The values of State's fields of these names."""
         bodies, shapes, sizes = self.bodies, self.shapes, self.sizes

@@ -419,7 +419,6 @@ class Solver:
             substep=self._wanted_substep,
             stiffest=model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing",
             crossing_time=model.crossing_time,
-            retardation=0.0 if rigid else model.retardation,
             device="cuda" if ti.cfg.arch == ti.cuda else "cpu",
         )
         longest = MAX_RIGID_SUBSTEP * SWEEPS[chosen.integrator]
@@ -443,7 +442,7 @@ class Solver:
 
     def _load(self, model: Model) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
-        integration = self._choose_integration(model, rigid=model.rigid)
+        integration = self._choose_integration(model, rigid=self._with_rigid)
         self.state.check_capacity(model.sizes)
         for c in self._constraints:
             c.check_capacity(model)

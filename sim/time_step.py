@@ -21,8 +21,6 @@ STABILITY_LIMIT = 0.3  # of dt sqrt(max kappa), measured for unaveraged Jacobi w
 VBD_COST = {"cuda": 9.5, "cpu": 14.0}
 MAX_XPBD_SUBSTEPS = 5000  # a frame, if XPBD is forced
 VBD_SUBSTEP = 1 / 1260  # [s]
-# [s] of bodies whose inner friction is at least that of such a substep: implicit Euler has a Kelvin-Voigt time of dt
-LONGEST_VBD_SUBSTEP = 1 / 720
 SWEEPS = {"xpbd": 1, "vbd": 2}  # a substep. With one sweep of VBD, light stiff plates jump from the floor
 # Lengths of a body that a pressure wave crosses in a substep of VBD. Two sweeps and the modes do not converge where it
 # crosses more: a tiny displacement by a contact stores many times the body's energy, and throws it. Of 144
@@ -85,13 +83,11 @@ def choose_integration(
     substep: float | None = None,
     stiffest: str = "bodies",
     crossing_time: float = math.inf,
-    retardation: float = 0.0,
     device: str = "cpu",
 ) -> Integration:
     """Choose for a largest kappa [1/s^2] and frames of frame_dt [s].
 
-    `stiffest` names the body in errors; a pressure wave crosses a body in `crossing_time` [s] or longer; `retardation`
-    is the least Kelvin-Voigt time of their inner friction [s], up to which VBD may take longer substeps.
+    `stiffest` names the body in errors; a pressure wave crosses a body in `crossing_time` [s] or longer.
     "auto" is XPBD where its rule allows the forced substep, or without one if its substeps cost at most as much as
     VBD's on this device ("cuda" or "cpu"), else VBD. None: the longest substep of the rule, or VBD_SUBSTEP, or less
     after WAVE_CROSSINGS.
@@ -105,8 +101,7 @@ def choose_integration(
     usual = min(VBD_SUBSTEP, frame_dt, WAVE_CROSSINGS * crossing_time)
     cheap = substep is not None or usual <= VBD_COST[device] * longest
     if integrator == "vbd" or (integrator == "auto" and not (stable and cheap)):
-        longer = min(max(VBD_SUBSTEP, min(retardation, LONGEST_VBD_SUBSTEP)), frame_dt, WAVE_CROSSINGS * crossing_time)
-        return Integration("vbd", substep or longer)
+        return Integration("vbd", substep or usual)
     if not stable:
         raise BadInput(f"{stiffest}: a substep of {substep:g} s is not stable with XPBD: at most {longest:.3g} s")
     if math.ceil(frame_dt / longest) > MAX_XPBD_SUBSTEPS:

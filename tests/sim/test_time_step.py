@@ -71,16 +71,6 @@ def test_a_frame_is_divided_evenly(substeps, searches, limit):
     assert min(schedule.launches) >= 1 and np.ptp(schedule.launches) <= 1
 
 
-def test_vbd_takes_longer_substeps_of_bodies_whose_own_inner_friction_is_larger():
-    """A substep of implicit Euler is a Kelvin-Voigt time: an undamped body would lose energy by a longer one."""
-    usual, damped, between = (
-        choose_integration(1e12, frame_dt=FRAME, retardation=t).substep for t in (0.0, 2e-3, 1e-3)
-    )
-    assert usual < between < damped and between == 1e-3
-    soft = choose_integration(1.0, frame_dt=FRAME, retardation=2e-3)
-    assert soft == choose_integration(1.0, frame_dt=FRAME)  # XPBD has no longer ones
-
-
 def test_a_wave_crosses_few_lengths_of_a_body_in_a_substep():
     """Fewer crossings shorten the substep in proportion; below the least one, the material is softened instead."""
     usual = choose_integration(1e12, frame_dt=FRAME).substep

@@ -141,14 +141,13 @@ class StaticContact:
         motion is held; where it slides, friction changes with the normal force.
         """
         s = self.state
-        d, force, stiffness = dx, vec3(0.0), 0.0
-        K, one = ti.Matrix.zero(ti.f32, 3, 3), ti.Matrix.identity(ti.f32, 3)
+        d, force, stiffness, K = dx, vec3(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
         p = self.samples.of_vertex[i]
         if p >= 0 and self.contact_count[p] > 0:
             contact_stiffness = CONTACT_STIFFNESS * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
             for k in range(self.contact_count[p]):
                 n = self.normal[p, k]
-                y, A_n = d - s.x_lo[i], A @ n
+                y, A_n, H_n = d - s.x_lo[i], A @ n, H @ n
                 y_n, w_n = n.dot(y), n.dot(A_n)
                 lacking = min_normal_motion(self.phi[p, k], s.dt[None]) - y_n
                 if lacking > 0.0:
@@ -159,12 +158,12 @@ class StaticContact:
                     force += f
                     f_n = n.dot(f)
                     if f_n > 0.0:
-                        along, across = ti.min(n.dot(H @ n), f_n / lacking), one - n.outer_product(n)
-                        K_k = along / f_n * f.outer_product(n)
-                        if (f - holding).norm_sqr() == 0.0:
-                            K_k = along * n.outer_product(n) + across @ H @ across
-                        K += K_k @ (one - A @ K)  # what the contacts before it leave of u
+                        along = ti.min(n.dot(H_n), f_n / lacking)
                         stiffness = ti.max(stiffness, along)
+                        K_k = along / f_n * f.outer_product(n)
+                        if (f - holding).norm_sqr() == 0.0:  # along n n^T + (1 - n n^T) H (1 - n n^T)
+                            K_k = H + ((n.dot(H_n) + along) * n - H_n).outer_product(n) - n.outer_product(H_n)
+                        K += K_k - K_k @ (A @ K)  # what the contacts before it leave of u
             self.forces.correction[i] = s.dt[None] ** 2 / s.mass[i] * force
         return d, force, stiffness, K
 

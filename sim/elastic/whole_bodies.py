@@ -25,9 +25,9 @@ from sim.model import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State, inverse_mass_matrix
 
-# p = m e + dt^2 R (3), r x p (3), m r (3), m r r^T (6), and the vertices on static shapes; r from the first vertex
-SUMS = 16
-HELD_SUMS = 36  # Q, Q [r], [r] Q and [r] Q [r] of the vertices on static shapes, Q = dt^2 K - m H^-1 K, [r] v = r x v
+# p = m e + dt^2 R (3), r x p (3), m r (3), m r r^T (6), and the vertices on static shapes; r from the first vertex ...
+FREE_SUMS = 16
+SUMS = 52  # ... and of those Q, Q [r], [r] Q and [r] Q [r], Q = dt^2 K - m H^-1 K, [r] v = r x v
 MIN_INERTIA = 1e-4  # of its trace: vertices in a line have none about that
 
 
@@ -42,8 +42,8 @@ class WholeBodies:
     def __init__(self, state: State, blocks: ReductionBlocks, descent, lanes: int = 1):
         self.state, self.blocks, self.descent, self.lanes = state, blocks, descent, lanes
         g, B = FieldGroup(), MAX_BODIES
-        self.sums, self.inv_mass, self.split_count = g.scalar(blocks.size, SUMS), g.scalar(B), g.scalar(B, dtype=ti.i32)
-        self.held_sums = g.scalar(blocks.size, HELD_SUMS)
+        self.sums, self.totals = g.scalar(blocks.size, SUMS), g.scalar(B, SUMS)
+        self.inv_mass, self.split_count = g.scalar(B), g.scalar(B, dtype=ti.i32)
         self.center, self.shift, self.turn = (g.vector(B) for _ in range(3))
         self.inverse_inertia = g.matrix(B)
         g.build()
@@ -53,7 +53,7 @@ class WholeBodies:
     def sum_block(self, j, lane):
         """Sums of block j."""
         s, d, span = self.state, self.descent, self.blocks.span[j]
-        total, origin = ti.Vector([0.0] * SUMS), s.x[s.vertex_begin[span[2]]]
+        total, origin = ti.Vector([0.0] * FREE_SUMS), s.x[s.vertex_begin[span[2]]]
         i = span[0] + lane
         while i < span[1]:
             m, r = s.mass[i], s.x[i] - origin
@@ -67,11 +67,15 @@ class WholeBodies:
                 total[12 + k] += m * r[k] * r[(k + 1) % 3]
             total[15] += 1.0 if self._is_held(i) else 0.0
             i += self.lanes
-        for k in ti.static(range(SUMS)):
-            value = sum_lanes(total[k], self.lanes)
+        for k in ti.static(range(FREE_SUMS)):
+            total[k] = sum_lanes(total[k], self.lanes)
             if lane == 0:
-                self.sums[j, k] = value
-        self._sum_held(j, origin, from_lane(sum_lanes(total[15], self.lanes), 0, self.lanes) > 0.0, lane)
+                self.sums[j, k] = total[k]
+        if from_lane(total[15], 0, self.lanes) > 0.0:
+            self._sum_held(j, origin, lane)
+        elif lane == 0:
+            for k in range(FREE_SUMS, SUMS):
+                self.sums[j, k] = 0.0
 
     @ti.func
     def _is_held(self, i):
@@ -79,42 +83,39 @@ class WholeBodies:
         return self.descent.reaction[i].norm_sqr() > 0.0
 
     @ti.func
-    def _sum_held(self, j, origin, held, lane):
-        """`held_sums` of block j; held: whether any of its vertices is."""
+    def _sum_held(self, j, origin, lane):
+        """Sums of the vertices of block j on static shapes."""
         s, d, span = self.state, self.descent, self.blocks.span[j]
         total = [ti.Matrix.zero(ti.f32, 3, 3) for _ in range(4)]
-        if held:
-            i = span[0] + lane
-            while i < span[1]:
-                if self._is_held(i):
-                    Q, R = s.dt[None] ** 2 * d.contact_matrix[i] - s.mass[i] * d.held[i], cross_matrix(s.x[i] - origin)
-                    total[0] += Q
-                    total[1] += Q @ R
-                    total[2] += R @ Q
-                    total[3] += R @ Q @ R
-                i += self.lanes
+        i = span[0] + lane
+        while i < span[1]:
+            if self._is_held(i):
+                Q, R = s.dt[None] ** 2 * d.contact_matrix[i] - s.mass[i] * d.held[i], cross_matrix(s.x[i] - origin)
+                QR = Q @ R
+                total[0] += Q
+                total[1] += QR
+                total[2] += R @ Q
+                total[3] += R @ QR
+            i += self.lanes
         for n in ti.static(range(4)):
             for k, l in ti.static(ti.ndrange(3, 3)):
-                value = 0.0
-                if held:
-                    value = sum_lanes(total[n][k, l], self.lanes)
+                value = sum_lanes(total[n][k, l], self.lanes)
                 if lane == 0:
-                    self.held_sums[j, 9 * n + 3 * k + l] = value
+                    self.sums[j, FREE_SUMS + 9 * n + 3 * k + l] = value
 
     @ti.func
     def solve(self, b, lane):
         """Shift and turn of body b."""
-        total = ti.Vector([0.0] * SUMS)
-        for k in ti.static(range(SUMS)):
-            total[k] = self.blocks.sum_by_lanes(self.sums, b, k, lane, self.lanes)
-        held = [ti.Matrix.zero(ti.f32, 3, 3) for _ in range(4)]
-        if from_lane(total[15], 0, self.lanes) > 0.0:
-            for n in ti.static(range(4)):
-                for k, l in ti.static(ti.ndrange(3, 3)):
-                    column = 9 * n + 3 * k + l
-                    held[n][k, l] = self.blocks.sum_by_lanes(self.held_sums, b, column, lane, self.lanes)
+        held = False
+        for k in range(SUMS):  # as a loop: unrolled it takes seconds to compile
+            if k < FREE_SUMS or held:
+                value = self.blocks.sum_by_lanes(self.sums, b, k, lane, self.lanes)
+                if lane == 0:
+                    self.totals[b, k] = value
+                if k == FREE_SUMS - 1:
+                    held = from_lane(value, 0, self.lanes) > 0.0
         if lane == 0:
-            mass = self.state.body_mass[b]
+            mass, total = self.state.body_mass[b], ti.Vector([self.totals[b, k] for k in range(FREE_SUMS)])
             c, shift, turn = total[6:9] / mass, ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             inv_mass, inverse = 0.0, ti.Matrix.zero(ti.f32, 3, 3)
             if self.state.prescribed_mass[b] == 0.0:
@@ -128,11 +129,31 @@ class WholeBodies:
                 inverse = (inertia / trace).inverse() / trace
                 p, moment = total[0:3], total[3:6] - c.cross(total[0:3])
                 shift, turn = inv_mass * p, inverse @ moment
-                if total[15] > 0.0:
-                    shift, turn = held_motion(p, moment, mass, inertia, c, held)
+                if held:
+                    shift, turn = self._held_motion(b, p, moment, mass, inertia, c)
             self.split_count[b] = 0
             self.center[b], self.inv_mass[b], self.inverse_inertia[b] = c, inv_mass, inverse
             self.shift[b], self.turn[b] = shift, turn
+
+    @ti.func
+    def _held_motion(self, b, p, moment, mass, inertia, c):
+        """Shift and turn of body b, which static shapes hold, from the sums about a point from which c is the centre.
+
+        (mass + Q) shift - Q[r] turn = p,   [r]Q shift + (inertia - [r]Q[r]) turn = moment,   sums about c.
+        """
+        C, Q = cross_matrix(c), self._held_sum(b, 0)
+        Q_r, r_Q = self._held_sum(b, 1), self._held_sum(b, 2) - C @ Q
+        r_Q_r = self._held_sum(b, 3) - C @ Q_r - r_Q @ C
+        Q_r -= Q @ C
+        D = (mass * ti.Matrix.identity(ti.f32, 3) + Q).inverse()
+        turn = (inertia - r_Q_r + r_Q @ D @ Q_r).inverse() @ (moment - r_Q @ (D @ p))
+        return D @ (p + Q_r @ turn), turn
+
+    @ti.func
+    def _held_sum(self, b, n: ti.template()):
+        """Total of the n-th matrix of body b."""
+        first = ti.static(FREE_SUMS + 9 * n)
+        return ti.Matrix([[self.totals[b, first + 3 * k + l] for l in range(3)] for k in range(3)])
 
     @ti.func
     def move(self, i):
@@ -183,17 +204,3 @@ class WholeBodies:
 def cross_matrix(r):
     """The matrix [r] of [r] v = r x v."""
     return ti.Matrix([[0.0, -r.z, r.y], [r.z, 0.0, -r.x], [-r.y, r.x, 0.0]])
-
-
-@ti.func
-def held_motion(p, moment, mass, inertia, c, held: ti.template()):
-    """Shift and turn of a body that static shapes hold, by sums `held` about a point from which c is the centre.
-
-    (mass + Q) shift - Q[r] turn = p,   [r]Q shift + (inertia - [r]Q[r]) turn = moment,   sums about c.
-    """
-    C, Q = cross_matrix(c), held[0]
-    QR, RQ = held[1] - Q @ C, held[2] - C @ Q
-    RQR = held[3] - C @ held[1] - RQ @ C
-    D = (mass * ti.Matrix.identity(ti.f32, 3) + Q).inverse()
-    turn = (inertia - RQR + RQ @ D @ QR).inverse() @ (moment - RQ @ D @ p)
-    return D @ (p + QR @ turn), turn

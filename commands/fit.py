@@ -125,7 +125,7 @@ def fit(options: FitOptions) -> None:
 
 
 def check_files(options: FitOptions) -> Path:
-    """What is fitted: the video, or the tracks. Raises BadInput for options that do not go together."""
+    """The file that is fitted, video or tracks. Raises BadInput for options that do not go together."""
     if (options.video is None) == (options.from_trajectory is None):
         raise BadInput("give either a VIDEO or --from-trajectory POINTS.npz")
     if options.video is not None and not options.camera:

@@ -96,7 +96,7 @@ def read_clip_marks(path: Path, clip: Clip, full: tuple[int, int]) -> tuple[dict
 
 
 def clip_masks(clip: Clip, marks: dict[int, ViewMarks], progress=lambda done: None) -> np.ndarray:
-    """Where the thing is (F, H, W) bool: cut in the marked pictures, carried from the nearest of them by optical flow
+    """Masks (F, H, W) of the thing: cut in the marked pictures, carried from the nearest of them by optical flow
     and cut by its colours again. Raises BadInput where it is lost."""
     count = len(clip.pictures)
     found: dict[int, np.ndarray] = {k: marked_mask(clip.pictures[k], m) for k, m in marks.items()}
@@ -124,7 +124,7 @@ def colours_of(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def flow_between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Where the pixels of grey pictures (H, W) uint8 have moved, (H, W, 2) [px]: from `one` to `other`."""
+    """Optical flow of grey pictures (H, W) uint8 from `one` to `other`, (H, W, 2) [px]."""
     return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(one, other, None)
 
 

@@ -103,7 +103,7 @@ def mask_pictures(clip: Clip, masks: np.ndarray, tracks: MarkerTracks) -> dict[s
 
 
 def backdrop_of(pictures: np.ndarray, masks: np.ndarray) -> np.ndarray:
-    """What stands still behind the thing, (H, W, 3) uint8: medians over time, and what it always hides filled in."""
+    """The picture behind the thing, (H, W, 3) uint8: medians over time, and what it always hides filled in."""
     around = np.stack([cv2.dilate(m.astype(np.uint8), np.ones((7, 7), np.uint8)) for m in masks]) > 0
     seen = np.ma.masked_array(pictures, np.broadcast_to(around[..., None], pictures.shape))
     middle = np.ma.median(seen, axis=0).filled(0).astype(np.uint8)

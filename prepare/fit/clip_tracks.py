@@ -72,7 +72,7 @@ def placed(camera: Camera, x: np.ndarray, turn: np.ndarray, mask: np.ndarray) ->
 
 
 def likeness(drawn: tuple, picture: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
-    """How alike a drawn body and a picture (H, W, 3) 0..1 with its mask (H, W) bool are: with colours, and in outline.
+    """Likeness of a drawn body and a picture (H, W, 3) 0..1 with its mask (H, W) bool: with colours, and in outline.
 
     Colours are compared after each channel's mean and spread are made equal: the clip's light is not the asset's.
     """
@@ -147,7 +147,7 @@ def followed(made: tuple, camera: Camera, picture: np.ndarray, mask: np.ndarray)
 
 
 def surface(made: tuple, camera: Camera) -> np.ndarray:
-    """Where a drawn body shows its surface, (H, W) bool: opaque, and not between a near part and a far one."""
+    """Mask (H, W) of the pixels that show a drawn body's surface: opaque, and not between a near part and a far one."""
     _, alpha, depth = made
     steps = cv2.dilate(depth, np.ones((3, 3))) - cv2.erode(depth, np.ones((3, 3)))
     return (alpha > 0.9) & (steps < STEEP * depth / camera.fx)

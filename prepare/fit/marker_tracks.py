@@ -57,7 +57,7 @@ class MarkerTracks:
         return np.isfinite(self.points).all(2)
 
     def observed(self, places: np.ndarray) -> np.ndarray:
-        """What of places (..., 3) [m] is compared with `points`, (..., D)."""
+        """The coordinates (..., D) of places (..., 3) [m] that are compared with `points`."""
         if self.camera is None:
             return places
         return self.metres * np.stack(self.camera.projected(places)[:2], -1)
@@ -69,7 +69,7 @@ class MarkerTracks:
         return self.metres * self.camera.slopes(places)
 
     def is_held(self, x: np.ndarray) -> np.ndarray:
-        """Which of the cage's vertices x (V, 3) at rest stand still, (V,) bool."""
+        """Mask (V,) of the cage's vertices x (V, 3) at rest that stand still."""
         if self.held is None:
             return np.zeros(len(x), bool)
         if self.camera is None:

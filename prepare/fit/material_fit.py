@@ -207,7 +207,7 @@ class MaterialProblem:
         return self.off(places).reshape(len(places), -1) / self.noise
 
     def off(self, places: np.ndarray) -> np.ndarray:
-        """What is observed of places (C, F, M, 3) [m] less what was seen, (C, F, M, D) [m].
+        """Residuals (C, F, M, D) [m]: the observation of places (C, F, M, 3) [m] less that of the clip.
 
         In pictures it is not known exactly which point of the surface a marker is. With offsets of a spread p in noise
         s, r - m + m s / sqrt(s^2 + n p^2), of mean m over n pictures, has independent entries again.

@@ -60,7 +60,7 @@ def test_an_unknown_clip_is_refused(tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["cat_hung", "parcel_sliding"])
 def test_what_a_toy_is_made_of_is_found_from_its_film(ti_cpu, tmp_path, monkeypatch, name):
-    """What shows is found: a stiffness and damping, or a friction; what does not show stays as the asset has it."""
+    """Finds what shows: a stiffness and damping, or a friction; what does not show stays as the asset has it."""
     monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
     film_toy(name, tmp_path, lambda line: None)
     truth, toy = json.loads((tmp_path / f"{name}.truth.json").read_text()), filmed_toys.CLIPS[name]

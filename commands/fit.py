@@ -27,8 +27,8 @@ from core.runtime import start_taichi
 from display.picture import save_picture
 
 if TYPE_CHECKING:
+    from display.drawn_body import DrawnBody
     from prepare.fit.clip_masks import Clip
-    from prepare.fit.clip_pictures import DrawnBody
     from prepare.fit.marker_tracks import MarkerTracks
 
 GRAVITY = np.array([0.0, -9.81, 0.0])  # [m/s^2] of the world that a clip's camera stands in
@@ -171,9 +171,9 @@ class FilmedThing:
     """A clip of the asset: where it is in the pictures, and how they compare with what was fitted."""
 
     def __init__(self, options: FitOptions, asset: Asset, progress, how: dict[str, str]):
+        from display.drawn_body import DrawnBody
         from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks
-        from prepare.fit.clip_pictures import DrawnBody
-        from prepare.fit.clip_tracks import clip_tracks
+        from prepare.fit.clip_tracks import ALIGNED_SIDE, clip_tracks
         from prepare.fit.marker_tracks import MarkerTracks
         from prepare.progress import Checkpoints
 
@@ -200,14 +200,14 @@ class FilmedThing:
         self.masks = keep("masks", lambda: {"m": clip_masks(self.clip, marks, lambda d: progress("masks", d))})["m"]
         progress("masks", 1.0)
         start_taichi(options.arch)
-        self.drawn: DrawnBody = DrawnBody(asset, *size)
+        self.drawn: DrawnBody = DrawnBody(asset, *(max(n, ALIGNED_SIDE) for n in size))
         blank = MarkerTracks(
             self.clip.times, None, None, held if len(held) else None, options.release, None, planes / lengths, GRAVITY,
             self.camera,
         )  # fmt: skip
 
         def make() -> dict[str, np.ndarray]:
-            found = clip_tracks(self.drawn, asset, self.clip, self.masks, blank, progress)
+            found = clip_tracks(self.drawn.picture, asset, self.clip, self.masks, blank, progress)
             return {name: np.asarray(getattr(found, name)) for name in ("points", "rest", "pose", "metres", "start")}
 
         arrays = keep("tracks", make)
@@ -216,7 +216,7 @@ class FilmedThing:
 
     def sections(self) -> list[Section]:
         """Masks and tracks in some pictures, and the body as it was found in the first, for the report."""
-        from prepare.fit.clip_pictures import mask_pictures
+        from prepare.fit.fit_report import mask_pictures
 
         self.drawn.move(self.tracks.start)
         found = self.drawn.over(self.clip.pictures[0] // 2, self.camera)
@@ -226,7 +226,7 @@ class FilmedThing:
 
     def films(self, motion: np.ndarray) -> Section:
         """The clip beside what was fitted, and with E halved and doubled; motion (F, 3, V, 3) of these."""
-        from prepare.fit.clip_pictures import backdrop_of
+        from prepare.fit.clip_masks import backdrop_of
 
         behind = backdrop_of(self.clip.pictures, self.masks)
         made = np.zeros((3, *self.clip.pictures.shape), np.uint8)

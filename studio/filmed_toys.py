@@ -21,8 +21,8 @@ from assets.library import find_asset
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.material import Material
+from display.drawn_body import DrawnBody
 from display.headless.video import Video
-from prepare.fit.clip_pictures import DrawnBody
 from prepare.fit.linear_elasticity import subdivided
 from prepare.segment.marks import Marks, ViewMarks, write_marks
 from sim.rollouts import Candidate, Rollouts

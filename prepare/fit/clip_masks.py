@@ -172,3 +172,11 @@ def whole(mask: np.ndarray, seed: np.ndarray) -> np.ndarray:
     largest = (part == size.argmax()).astype(np.uint8)
     lines, _ = cv2.findContours(largest, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     return cv2.drawContours(largest, lines, -1, 1, cv2.FILLED) > 0
+
+
+def backdrop_of(pictures: np.ndarray, masks: np.ndarray) -> np.ndarray:
+    """The picture behind the thing, (H, W, 3) uint8: medians over time, and what it always hides filled in."""
+    around = np.stack([cv2.dilate(m.astype(np.uint8), np.ones((7, 7), np.uint8)) for m in masks]) > 0
+    seen = np.ma.masked_array(pictures, np.broadcast_to(around[..., None], pictures.shape))
+    middle = np.ma.median(seen, axis=0).filled(0).astype(np.uint8)
+    return cv2.inpaint(middle, around.all(0).astype(np.uint8), 5, cv2.INPAINT_TELEA)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -13,7 +14,6 @@ from assets.asset import Asset
 from core.camera import Camera, directions_around
 from core.errors import BadInput
 from prepare.fit.clip_masks import Clip, flow_between
-from prepare.fit.clip_pictures import ALIGNED_SIDE, DrawnBody
 from prepare.fit.marker_tracks import (
     OFF_THE_CAGE,
     MarkerTracks,
@@ -22,7 +22,11 @@ from prepare.fit.marker_tracks import (
     surface_weights,
 )
 
+# Draws the body at rest from a camera: colours (H, W, 3) 0..1 on black, opacity and depth [m] (H, W)
+Draw = Callable[[Camera], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
 SEARCH_SIDE = 48  # [px] of a picture in which a pose is tried
+ALIGNED_SIDE = 200  # [px] of one in which a pose is refined
 DIRECTIONS, ROLLS = 72, 12  # poses that are tried: of the body's axis, and turns about it: 30 degrees apart
 REFINED = 12  # best of them, which are refined
 ROUNDS = 8  # of refining one by optical flow
@@ -101,7 +105,7 @@ def from_body(camera: Camera, pose: np.ndarray) -> Camera:
     return replace(camera, world_to_camera=camera.world_to_camera @ pose)
 
 
-def found_pose(drawn: DrawnBody, x: np.ndarray, camera: Camera, clip: Clip, mask: np.ndarray, progress) -> np.ndarray:
+def found_pose(draw: Draw, x: np.ndarray, camera: Camera, clip: Clip, mask: np.ndarray, progress) -> np.ndarray:
     """world_from_asset (4, 4) of the rigid body, of vertices x (V, 3) at rest, in the clip's first picture.
 
     Raises BadInput where it looks like the mask in no pose.
@@ -114,14 +118,14 @@ def found_pose(drawn: DrawnBody, x: np.ndarray, camera: Camera, clip: Clip, mask
     poses = [placed(near, x, turn, small) for turn in turns]
     scores = []
     for k, pose in enumerate(poses):
-        scores.append(likeness(drawn.picture(from_body(near, pose)), picture, small)[0])
+        scores.append(likeness(draw(from_body(near, pose)), picture, small)[0])
         progress(0.7 * k / len(poses))
     near, picture, fine = crop(clip, mask, camera, ALIGNED_SIDE)
     best = ((-np.inf, 0.0), poses[0])
     for k, i in enumerate(np.argsort(scores)[::-1][:REFINED]):
         pose = poses[i]
         for _ in range(ROUNDS):
-            made = drawn.picture(from_body(near, pose))
+            made = draw(from_body(near, pose))
             best = max(best, (likeness(made, picture, fine), pose), key=lambda b: b[0])
             points, seen = followed(made, from_body(near, pose), picture, fine)
             if len(points) < FEWEST_POINTS:
@@ -214,20 +218,18 @@ def usual_motion(places: np.ndarray, moved: np.ndarray, good: np.ndarray) -> np.
     return np.median(moved[good][np.argsort(away, axis=1)[:, :NEAREST]], axis=1)
 
 
-def clip_tracks(
-    drawn: DrawnBody, asset: Asset, clip: Clip, masks: np.ndarray, blank: MarkerTracks, progress
-) -> MarkerTracks:
+def clip_tracks(draw: Draw, asset: Asset, clip: Clip, masks: np.ndarray, blank: MarkerTracks, progress) -> MarkerTracks:
     """The tracks of a clip of the asset: `blank` with all that the pictures show.
 
     Raises BadInput where the thing is not found, or not followed.
     """
     x, camera = np.asarray(asset.cage.vertices, np.float64), blank.camera
-    pose = found_pose(drawn, x, camera, clip, masks[0], lambda done: progress("pose", 0.8 * done))
+    pose = found_pose(draw, x, camera, clip, masks[0], lambda done: progress("pose", 0.8 * done))
     if len(blank.planes):
         pose = resting(pose, x, camera, blank.planes)
     progress("pose", 1.0)
     pixels = tracked(clip, masks, lambda done: progress("tracks", done))
-    made = drawn.picture(from_body(camera, pose))
+    made = draw(from_body(camera, pose))
     ours, theirs = alike(made, clip.pictures[0].astype(np.float32) / 255, masks[0])
     flow = flow_between(theirs, ours)  # from the clip to the drawn body
     column, row = np.floor(pixels[0]).astype(int).T

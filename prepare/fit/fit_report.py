@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from core.report import Section, Table, html_page
+from prepare.fit.clip_masks import Clip
 from prepare.fit.marker_tracks import MarkerTracks
 from prepare.fit.material_fit import MaterialFit, Number
 
@@ -14,6 +16,8 @@ UNSEEN = "not visible in this clip"
 WIDTH, HEIGHT, LEFT, FLOOR = 560.0, 240.0, 64.0, 206.0  # [px] of a drawing, and where its axes meet
 COLOURS = ("#222", "#c4562f", "#5d93a0", "#a9b86a")
 MARKERS_DRAWN = 3
+SHOWN = 6  # pictures of a clip
+OUTLINE, DOT = (230, 60, 40), (40, 200, 60)
 
 
 def said(number: Number) -> str:
@@ -92,3 +96,16 @@ def plot(x: np.ndarray, lines: dict[str, np.ndarray]) -> str:
             parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.5"/>')
         parts.append(f'<text x="{LEFT + 10 + 120 * k}" y="12" style="fill:{colour}">{name}</text>')
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}">{"".join(parts)}</svg>'
+
+
+def mask_pictures(clip: Clip, masks: np.ndarray, tracks: MarkerTracks) -> dict[str, np.ndarray]:
+    """Some pictures of a clip with the outline of the thing and the markers that are followed, by their names."""
+    shown = {}
+    for k in np.linspace(0, len(masks) - 1, SHOWN).round().astype(int):
+        picture = clip.pictures[k].copy()
+        lines, _ = cv2.findContours(masks[k].astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(picture, lines, -1, OUTLINE, 1)
+        for place in tracks.points[k][tracks.seen[k]] / tracks.metres:
+            cv2.circle(picture, tuple(np.floor(place).astype(int).tolist()), 1, DOT, -1)
+        shown[f"frame_{clip.first + k:04d}, {clip.times[k]:.2f} s"] = picture
+    return shown

@@ -11,9 +11,9 @@ from assets.camera_file import read_cameras
 from assets.library import find_asset
 from commands.parser import parse
 from core.errors import BadInput
+from display.drawn_body import DrawnBody
 from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks
-from prepare.fit.clip_pictures import DrawnBody
-from prepare.fit.clip_tracks import found_pose
+from prepare.fit.clip_tracks import ALIGNED_SIDE, found_pose
 from prepare.fit.marker_tracks import posed
 from studio import filmed_toys
 from studio.filmed_toys import CLIPS, film_toy
@@ -41,13 +41,13 @@ def test_a_film_shows_the_toy_where_the_truth_says(folder):
     top = start[:, 1] > np.quantile(start[:, 1], 0.9)
     left, above, right, below = held[0]
     assert ((u >= left) & (u <= right) & (v >= above) & (v <= below))[top].mean() > 0.8
-    drawn = DrawnBody(asset, *SIZE)
+    drawn = DrawnBody(asset, SIZE[0], ALIGNED_SIDE)
     drawn.move(start)
     overlap = drawn.picture(camera)[1] > 0.5
     assert (overlap & mask).sum() > 0.85 * (overlap | mask).sum()
     x = asset.cage.vertices.astype(float)
     drawn.move(x)
-    pose = found_pose(drawn, x, camera, clip, mask, lambda done: None)
+    pose = found_pose(drawn.picture, x, camera, clip, mask, lambda done: None)
     drawn.destroy()
     assert np.linalg.norm(posed(pose, x) - start, axis=1).mean() < 0.02
 

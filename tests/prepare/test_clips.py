@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from core.camera import look_at, perspective
 from core.errors import BadInput
+from display.drawn_body import DrawnBody
 from display.headless.video import Video
-from prepare.fit.clip_masks import Clip, clip_masks, read_clip, read_clip_marks
-from prepare.fit.clip_pictures import DrawnBody, backdrop_of, mask_pictures
-from prepare.fit.clip_tracks import clip_tracks, found_pose, resting, tracked
+from prepare.fit.clip_masks import Clip, backdrop_of, clip_masks, read_clip, read_clip_marks
+from prepare.fit.clip_tracks import ALIGNED_SIDE, clip_tracks, found_pose, resting, tracked
+from prepare.fit.fit_report import mask_pictures
 from prepare.fit.marker_tracks import MarkerTracks, noise_of, posed, surface_weights
 from prepare.progress import no_progress
 from prepare.segment.marks import ViewMarks, write_marks
@@ -50,7 +51,7 @@ def clip(block, moving):
 
 @pytest.fixture(scope="module")
 def true_masks(block, moving):
-    drawn, masks = DrawnBody(block, *PIXELS), []
+    drawn, masks = DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE), []
     for x in moving:
         drawn.move(x)
         masks.append(drawn.picture(camera_of())[1] > 0.5)
@@ -72,7 +73,7 @@ def blank(**changes) -> MarkerTracks:
 
 def test_a_drawn_body_is_where_its_cage_is(block):
     """Moved and turned as a whole it looks as through a camera that is moved and turned the other way."""
-    camera, drawn = camera_of(), DrawnBody(block, *PIXELS)
+    camera, drawn = camera_of(), DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE)
     x = block.cage.vertices.astype(float)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = Rotation.from_euler("y", 0.4).as_matrix(), [0.01, 0.02, -0.03]
@@ -106,7 +107,10 @@ def test_a_thing_that_leaves_the_picture_is_missed(clip, moving):
 
 def test_the_pose_at_the_start_is_found_wherever_the_thing_is(block):
     """Turned far from how the asset stands, before another camera."""
-    drawn, camera = DrawnBody(block, *PIXELS), perspective(*PIXELS, 0.5, look_at((0.1, 0.4, 0.6), (0, 0.1, 0)))
+    drawn, camera = (
+        DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE),
+        perspective(*PIXELS, 0.5, look_at((0.1, 0.4, 0.6), (0, 0.1, 0))),
+    )
     x = block.cage.vertices.astype(float)
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("yxz", [2.4, 0.7, 0.4]).as_matrix()
@@ -115,13 +119,13 @@ def test_the_pose_at_the_start_is_found_wherever_the_thing_is(block):
     mask = drawn.picture(camera)[1] > 0.5
     one = Clip(drawn.over(np.full((*PIXELS[::-1], 3), 120, np.uint8), camera)[None], TIMES[:1], 0, "clip")
     drawn.move(x)
-    found = found_pose(drawn, x, camera, one, mask, lambda done: None)
+    found = found_pose(drawn.picture, x, camera, one, mask, lambda done: None)
     off = np.linalg.norm(posed(found, x) - posed(pose, x), axis=1)
     assert np.degrees(Rotation.from_matrix(found[:3, :3].T @ pose[:3, :3]).magnitude()) < 3 and off.max() < 0.03
     with pytest.raises(BadInput, match="looks in no pose like the mask in frame_0000"):
         ring = np.zeros_like(mask)
         cv2.circle(ring.view(np.uint8), (80, 60), 50, 1, 3)
-        found_pose(drawn, x, camera, one, ring, lambda done: None)
+        found_pose(drawn.picture, x, camera, one, ring, lambda done: None)
     drawn.destroy()
 
 
@@ -142,8 +146,8 @@ def test_a_body_is_laid_on_a_plane_and_moved_along_the_line_of_sight(block):
 
 
 def test_points_of_the_surface_are_followed(block, clip, masks, moving):
-    drawn = DrawnBody(block, *PIXELS)
-    tracks = clip_tracks(drawn, block, clip, masks, blank(), no_progress)
+    drawn = DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE)
+    tracks = clip_tracks(drawn.picture, block, clip, masks, blank(), no_progress)
     drawn.destroy()
     x = block.cage.vertices.astype(float)
     weights, away = surface_weights(x, block.cage.tets, tracks.rest)

@@ -10,9 +10,9 @@ from assets.camera_file import write_cameras
 from core.camera import Camera, look_at, perspective
 from core.material import Material
 from core.tetmesh import boundary_surface, box_mesh
+from display.drawn_body import DrawnBody
 from display.headless.video import Video
 from prepare.cage.embedding_hosts import embed
-from prepare.fit.clip_pictures import DrawnBody
 from prepare.fit.linear_elasticity import ElasticShape
 from prepare.segment.marks import Marks, ViewMarks, write_marks
 from tests.support.samples import discs

@@ -4,13 +4,14 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from core.lanes import lane_count, sums_before
-from render.footprint import tile_box
+from render.footprint import masked_tile, tile_box, touched_cells
 from render.prefix_sum import PrefixSum
 from render.projection import Projection
 from render.radix_sort import RadixSort, item_of, key_of, value_of
 
 # [bits] of a tile's number, at least, so that pictures of common sizes share the capacity and the kernels; by backend:
 MIN_TILE_BITS = {"cpu": 12, "cuda": 16}  # one pass of the sort (640 x 360 in tiles of 8), two passes
+CELLS_AT = 24  # first of the bits of a key, above those of the tile, that say which cells of it the splat touches
 
 
 @ti.data_oriented
@@ -61,14 +62,14 @@ class TileBins:
     """Pairs of tile and Gaussian, sorted by tile; within a tile they stay in depth order.
 
     `begin[t]..end[t]` of `members`, i64 items of (t, Gaussian), belong to tile t; tiles of all views are numbered
-    row by row, view by view. With more pairs than `capacity` all bins are empty: the owner must compare `order.pairs`
-    and replace the bins by larger ones.
+    row by row, view by view. On CUDA a key holds `touched_cells`, too: a cell reads no splat in vain. With more pairs
+    than `capacity` all bins are empty: the owner must compare `order.pairs` and replace the bins by larger ones.
     """
 
     def __init__(self, order: DepthOrder, capacity: int):
         self.order, self.projection, self.capacity = order, order.projection, capacity
-        on_gpu = ti.cfg.arch == ti.cuda
-        bits = max(MIN_TILE_BITS["cuda" if on_gpu else "cpu"], (self.tiles - 1).bit_length())
+        self.on_gpu = ti.cfg.arch == ti.cuda
+        bits = max(MIN_TILE_BITS["cuda" if self.on_gpu else "cpu"], (self.tiles - 1).bit_length())
         self.tile_capacity = 1 << bits
         self.sorter = RadixSort(capacity, bits=bits)
         self.members = self.sorter.sorted_items
@@ -76,7 +77,8 @@ class TileBins:
         self.fields = f = FieldGroup()
         with f.interleaved(self.tile_capacity):
             self.begin, self.end = (f.scalar(self.tile_capacity, dtype=ti.i32) for _ in range(2))
-        self.large = f.scalar(self.projection.splats.capacity, dtype=ti.i32)  # positions in order of large splats
+        splats = self.projection.views * self.projection.splats.capacity
+        self.large = f.scalar(splats, dtype=ti.i32)  # numbers of large splats, see `_splat`
         self.large_count = f.scalar(dtype=ti.i32)
         f.build()
 
@@ -100,23 +102,25 @@ class TileBins:
     def emit(self):
         """Write all pairs in depth order, and empty all tiles; outermost level of a kernel.
 
-        A Gaussian whose splat exceeds a tile mask waits for the second loop, where lanes share it: a capture has
-        thousands behind each other that cover much of the picture.
+        A splat that exceeds a tile mask waits for the second loop, where lanes share it: a capture has thousands behind
+        each other that cover much of the picture.
         """
         self.large_count[None] = 0
         self.sorter.count[None] = 0
         if self.order.pairs[None] <= self.capacity:
             self.sorter.count[None] = self.order.pairs[None]
-        for k in range(ti.max(self.order.sorter.kept[None], self.projection.views * self.tiles_per_view())):
-            if k < self.projection.views * self.tiles_per_view():
-                self.begin[k], self.end[k] = 0, 0
-            if k < self.order.sorter.kept[None] and self.sorter.count[None] > 0:
-                larger = self._emit_masked(self.order.gaussian(k), self.order.first_pair[k])
-                if larger:
-                    self.large[ti.atomic_add(self.large_count[None], 1)] = k
+        for i in range(self.projection.views * ti.max(self.order.sorter.kept[None], self.tiles_per_view())):
+            if i < self.projection.views * self.tiles_per_view():
+                self.begin[i], self.end[i] = 0, 0
+            if i < self.projection.views * self.order.sorter.kept[None] and self.sorter.count[None] > 0:
+                v, g, pair = self._splat(i)
+                if self.projection.tile_mask[v, g][1] >= 0:
+                    self._emit_masked(v, g, pair)
+                else:
+                    self.large[ti.atomic_add(self.large_count[None], 1)] = i
         for i in range(self.large_count[None] * self.lanes):
-            k = self.large[i // self.lanes]
-            self._emit_large(self.order.gaussian(k), self.order.first_pair[k], i % self.lanes)
+            v, g, pair = self._splat(self.large[i // self.lanes])
+            self._emit_large(v, g, pair, i % self.lanes)
 
     @ti.func
     def find_ranges(self):
@@ -130,46 +134,57 @@ class TileBins:
 
     @ti.func
     def _tile_of(self, i: ti.i32) -> ti.i32:
-        return ti.cast(key_of(self.members[i]), ti.i32)
+        return ti.cast(key_of(self.members[i]) & ti.u32((1 << CELLS_AT) - 1), ti.i32)
 
     @ti.func
-    def _emit_masked(self, g: ti.i32, pair: ti.i32):
-        """Write the pairs of a Gaussian from `pair` on; returns whether splats without a tile mask are left."""
-        left_over = False
-        for v in range(self.projection.views):
-            mask = self.projection.tile_mask[v, g]
-            bits = mask[1]
-            while bits > 0:
-                tile = self.projection.masked_tile(v, mask[0], bits)
-                if self.projection.draws(tile):
-                    self.sorter.items[pair] = item_of(tile, g)
-                    pair += 1
-                bits &= bits - 1
-            if bits < 0:
-                left_over = True
-                pair += self.projection.tile_count(v, g)
-        return left_over
+    def _write(self, pair: ti.i32, v, g, row, column, mean2d, conic, box) -> ti.i32:
+        """Write the pair of a tile and splat g of view v, if the tile is drawn; returns the place of the next."""
+        tile = self.projection.tile_at(v, row, column)
+        if self.projection.draws(tile):
+            key = ti.cast(tile, ti.u32)
+            if ti.static(self.on_gpu):
+                cells = touched_cells(row, column, mean2d, conic, box, self.projection.tile)
+                key |= ti.cast(cells, ti.u32) << CELLS_AT
+            self.sorter.items[pair] = item_of(key, g)
+            pair += 1
+        return pair
 
     @ti.func
-    def _emit_large(self, g: ti.i32, pair: ti.i32, lane: ti.i32):
-        """Write the pairs of a Gaussian's splats without a tile mask; each lane has every so many rows."""
-        for v in range(self.projection.views):
-            if self.projection.tile_mask[v, g][1] >= 0:
-                pair += self.projection.tile_count(v, g)
-            else:
-                p = self.projection
-                left, right, top, bottom = tile_box(p.mean2d[v, g], p.box[v, g], p.tile, p.grid)
-                for step in range((bottom - top + self.lanes - 1) // self.lanes):
-                    row, column, last = top + step * self.lanes + lane, 0, 0
-                    if row < bottom:
-                        column, last = p.columns_in(v, g, row, left, right)
-                    before, all_rows = sums_before(last - column, lane, self.lanes)
-                    tile, at = p.tile_at(v, row, 0), pair + before
-                    # The second bound is read again at each step, else the loop's vectorised forms take half a
-                    # second to compile.
-                    while column < ti.min(last, p.grid[None][2]):
-                        if p.draws(tile + column):
-                            self.sorter.items[at] = item_of(tile + column, g)
-                            at += 1
-                        column += 1
-                    pair = pair + all_rows if ti.static(self.lanes > 1) else at  # one lane may leave out tiles
+    def _splat(self, i: ti.i32):
+        """View, Gaussian and first pair of the i-th splat from the front; the two eyes' stand side by side."""
+        k, v = i // self.projection.views, i % self.projection.views
+        g, pair = self.order.gaussian(k), self.order.first_pair[k]
+        for before in ti.static(range(self.projection.views - 1)):
+            if before < v:
+                pair += self.projection.tile_count(before, g)
+        return v, g, pair
+
+    @ti.func
+    def _emit_masked(self, v: ti.i32, g: ti.i32, pair: ti.i32):
+        """Write the pairs of a splat from `pair` on."""
+        p = self.projection
+        mask, mean2d, conic, box = p.tile_mask[v, g], p.mean2d[v, g], p.conic[v, g], p.box[v, g]
+        bits = mask[1]
+        while bits > 0:
+            row, column = masked_tile(mask[0], bits)
+            pair = self._write(pair, v, g, row, column, mean2d, conic, box)
+            bits &= bits - 1
+
+    @ti.func
+    def _emit_large(self, v: ti.i32, g: ti.i32, pair: ti.i32, lane: ti.i32):
+        """Write the pairs of a splat without a tile mask; each lane has every so many rows."""
+        p = self.projection
+        mean2d, conic, box = p.mean2d[v, g], p.conic[v, g], p.box[v, g]
+        left, right, top, bottom = tile_box(mean2d, box, p.tile, p.grid)
+        for step in range((bottom - top + self.lanes - 1) // self.lanes):
+            row, column, last = top + step * self.lanes + lane, 0, 0
+            if row < bottom:
+                column, last = p.columns_in(v, g, row, left, right)
+            before, all_rows = sums_before(last - column, lane, self.lanes)
+            at = pair + before
+            # The second bound is read again at each step, else the loop's vectorised forms take half a second to
+            # compile.
+            while column < ti.min(last, p.grid[None][2]):
+                at = self._write(at, v, g, row, column, mean2d, conic, box)
+                column += 1
+            pair = pair + all_rows if ti.static(self.lanes > 1) else at  # one lane may leave out tiles

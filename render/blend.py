@@ -3,41 +3,46 @@
 C = sum c_i alpha_i T_i,  T_i = prod_{j<i} (1 - alpha_j),
 alpha_i = min(0.999, o_i exp(-0.5 d^T Sigma_2D^-1 d)).                    Kerbl 2023, eq. 3
 
-A CUDA block draws a tile of cells, a warp each. Splats come through shared memory in batches. The thread that loads a
-splat finds the cells that it touches; a warp reads them as one bit per splat and visits the set bits, so that splats
-outside of its cell cost it nothing. A thread draws PIXELS of a column, or twice as many in a large picture.
+On CUDA a tile consists of cells, each drawn by a warp. A tile's members say which cells they touch: splats outside
+of its cell cost a warp next to nothing. A thread draws PIXELS of a column, or twice as many where tiles are large.
 """
+
+import math
 
 import taichi as ti
 
-from core.lanes import WARP, dealt, first_of, vote
+from core.lanes import WARP, dealt, rank_lanes, sync_lanes, vote
 from core.runtime import CUDA, QUADRANTS
-from render.binning import TileBins
-from render.footprint import CUTOFF_BITS, horizontal_extent
-from render.radix_sort import value_of
+from render.binning import CELLS_AT, TileBins
+from render.footprint import ACROSS, CELL, CUTOFF_BITS, DOWN
+from render.radix_sort import key_of, value_of
 
 ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weights stay finite
 MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before its transmittance would fall to this
+# CUDA's 2^x is 0 below the least normal float. Alphas are computed as multiples of 1 / SCALE, so that this least one is
+# 1/255, where a splat ends: without comparisons, a tenth of the instructions.
+SCALE = 2.0**126 / 255
+LOG_SCALE, LN2 = math.log2(SCALE), math.log(2.0)
+FINISHED = 2.0 * SCALE  # no transmittance is more
 CPU_TILE = 8  # [px] a row of a tile is one vector register of floats
 CHECK_INTERVAL = 16  # splats between two tests, on the CPU, of whether all pixels are finished
-GPU_TILE = (32, 16)  # [px]; larger tiles make fewer pairs to sort
-CELL = 8  # [px] width of a cell
-ACROSS = GPU_TILE[0] // CELL
+GPU_TILE = (32, 16)  # [px]
+# In a picture of many pixels, where warps are enough, tiles are larger: fewer pairs to sort, and half the work that
+# does not depend on the pixels. A photograph of 540 x 960 would take a quarter more.
+LARGE_GPU_TILE, MANY_PIXELS = (32, 32), 1 << 21
+TILE_THREADS = ACROSS * DOWN * WARP
+PLACE = 12  # words in shared memory of a splat for a cell
 BATCH = 512  # splats in shared memory at a time; a power of two
 QUAD = 4 * BATCH  # words of shared memory between quads of a splat: its first four numbers, the next, the last two
 CELL_BITS = 2 * QUAD + 2  # first of the words that say which of 32 splats touch a cell
 INDEX = 2 * QUAD + 3  # word with the index of a splat's Gaussian, for gradients
 PIXELS = 2  # of a column, per thread: a cell is one warp
 ROW_STEP = 32 // CELL  # [px] between a thread's pixels
-TILE_PIXELS = GPU_TILE[0] * GPU_TILE[1]
-# From this many tiles on, a thread has 2 PIXELS: half the work that does not depend on the pixels, and still enough
-# warps. Two eyes of 1800 x 1920 take a tenth less, a photograph of 540 x 960 would take a quarter more.
-MANY_TILES = 4096
 
 
 @ti.func
 def exp2(x: ti.f32) -> ti.f32:
-    """2^x for -CUTOFF_BITS <= x <= 0.01, relative error 4e-6; undefined outside.
+    """2^x for -CUTOFF_BITS <= x <= 0.01, relative error 4e-6; undefined outside, but on CUDA 0 for x < -126.
 
     One instruction on CUDA. Elsewhere (2^(x/16))^16 with a polynomial for the inner part: products only, which a CPU
     vectorises.
@@ -45,6 +50,8 @@ def exp2(x: ti.f32) -> ti.f32:
     y = x
     if ti.static(ti.cfg.arch == ti.cuda and not QUADRANTS):
         CUDA.exp2(y)
+    elif ti.static(ti.cfg.arch == ti.cuda):
+        y = ti.select(x < -126.0, 0.0, ti.exp(LN2 * x))
     else:
         y = 0.0009379154316623323 + x * (1.3388277327798619e-05 + x * 1.2325647990480442e-07)
         y = 0.9999999187056234 + x * (0.04332121602645622 + x * y)
@@ -71,12 +78,12 @@ def covered_rows(y, half_height, top, bottom):
 
 
 @ti.func
-def load_batch(drawer: ti.template(), shared: ti.template(), v, first, end, lane, threads: ti.template(), x0, y0):
+def load_batch(drawer: ti.template(), shared: ti.template(), v, first, end, lane, threads: ti.template()):
     """Load the next BATCH of the members first..end-1 of the bins; all threads of a block together, CUDA only."""
     for load in range((ti.min(BATCH, end - first) + threads - 1) // threads):
         j = load * threads + lane
         if j < BATCH:  # the same for the whole warp
-            load_member(drawer, shared, v, first + j, j, ti.cast(first + j < end, ti.i32), x0, y0)
+            load_member(drawer, shared, v, first + j, j, ti.cast(first + j < end, ti.i32))
     ti.simt.block.sync()
 
 
@@ -90,33 +97,23 @@ def fetched(shared: ti.template(), j, count: ti.template()):
 
 
 @ti.func
-def load_member(drawer: ti.template(), shared: ti.template(), v, i, j, exists, x0, y0):
+def load_member(drawer: ti.template(), shared: ti.template(), v, i, j, exists):
     """Write member `i` of the bins at position `j` of the batch, and its bit to every cell that it touches.
 
     `drawer.words(v, g, mean2d, conic)` are the numbers of a splat that blending reads, ten at most; with
-    `drawer.keeps_index` the index of its Gaussian follows. A thread draws `drawer.pixels` of a column.
+    `drawer.keeps_index` the index of its Gaussian follows.
     """
-    height = ti.static(drawer.pixels * ROW_STEP)  # [px] of a cell
-    down = ti.static(GPU_TILE[1] // height)
-    touches = 0  # a bit for each cell
+    touches = ti.u32(0)  # a bit for each cell
     if exists != 0:
-        g = value_of(drawer.bins.members[i])
-        mean2d, conic = drawer.projection.mean2d[v, g], drawer.projection.conic[v, g]
-        box = drawer.projection.box[v, g]
-        at, words = 4 * (j & (BATCH - 1)), drawer.words(v, g, mean2d, conic)
+        item = drawer.bins.members[i]
+        g, touches = value_of(item), key_of(item) >> ti.u32(CELLS_AT)
+        words = drawer.words(v, g, drawer.projection.mean2d[v, g], drawer.projection.conic[v, g])
         for k in ti.static(range(10)):
-            shared[QUAD * (k // 4) + at + k % 4] = words[k]
+            shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4] = words[k]
         if ti.static(drawer.keeps_index):
             shared[INDEX + 4 * j] = ti.bit_cast(ti.cast(g, ti.i32), ti.f32)
-        for row in ti.static(range(down)):
-            top = y0 + row * height + 0.5
-            if mean2d.y - box[1] <= top + (height - 1) and mean2d.y + box[1] >= top:
-                left, right = horizontal_extent(top, top + (height - 1), mean2d, conic, box)
-                for column in ti.static(range(ACROSS)):
-                    if left <= x0 + column * CELL + CELL - 0.5 and right >= x0 + column * CELL + 0.5:
-                        touches |= 1 << (row * ACROSS + column)
-    for cell in ti.static(range(ACROSS * down)):
-        ones = vote((touches >> cell) & 1, WARP)
+    for cell in ti.static(range(ACROSS * DOWN)):
+        ones = vote((touches >> ti.u32(cell)) & ti.u32(1), WARP)
         if j % 32 == cell:
             shared[CELL_BITS + 4 * j] = ti.bit_cast(ones, ti.f32)
 
@@ -134,8 +131,8 @@ class Blend:
         self.bins, self.projection, self.segments = bins, bins.projection, segments
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth = with_color, with_depth
-        self.on_gpu, self.keeps_index = ti.cfg.arch == ti.cuda, False
-        self.pixels = PIXELS if segments * bins.tiles < MANY_TILES else 2 * PIXELS
+        self.on_gpu = ti.cfg.arch == ti.cuda
+        self.pixels = PIXELS * self.projection.tile[1] // GPU_TILE[1]
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):
@@ -213,68 +210,88 @@ class Blend:
 
     @ti.func
     def _draw_gpu(self, sink: ti.template(), out: ti.template()):
-        """One tile per block of threads, one cell per warp, `pixels` of a column per thread."""
-        pixels, threads = ti.static(self.pixels, TILE_PIXELS // self.pixels)
-        ti.loop_config(block_dim=threads)
-        for thread in range(self.projection.views * self.bins.tiles_per_view() * self.segments * threads):
-            block, lane = thread // threads, thread % threads
+        """A warp draws a cell alone, `pixels` of a column per thread.
+
+        Its lanes look through 32 of the tile's splats, and write those that touch the cell side by side into the warp's
+        own places in shared memory. No warp waits for another, nor for what touches other cells.
+        """
+        pixels, height = ti.static(self.pixels, self.pixels * ROW_STEP)
+        ti.loop_config(block_dim=TILE_THREADS)
+        for thread in range(self.projection.views * self.bins.tiles_per_view() * self.segments * TILE_THREADS):
+            block, cell, lane = thread // TILE_THREADS, thread % TILE_THREADS // WARP, thread % WARP
             tile, s = block // self.segments, block % self.segments
-            v, x0, y0 = self.projection.place_of(tile, GPU_TILE)
-            cell, member = lane // 32, lane % 32
-            x, y = pixel_of(x0, y0, cell, member, ti.static(pixels * ROW_STEP))
-            shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
-            T, depth = ti.Vector([1.0] * pixels), ti.Vector([0.0] * pixels)  # T is negated as on the CPU
+            v, x0, y0 = self.projection.place_of(tile, self.projection.tile)
+            left, top = pixel_of(x0, y0, cell, 0, height)
+            x, y = pixel_of(x0, y0, cell, lane, height)
+            shared = ti.simt.block.SharedArray((PLACE * TILE_THREADS,), ti.f32)
+            T, depth = ti.Vector([SCALE] * pixels), ti.Vector([0.0] * pixels)  # T, times SCALE
             red, green, blue = ti.Vector([0.0] * pixels), ti.Vector([0.0] * pixels), ti.Vector([0.0] * pixels)
+            least = ti.Vector([SCALE * MIN_TRANSMITTANCE] * pixels)  # that a splat must leave; FINISHED behind the last
             for p in ti.static(range(pixels)):
                 if not self.projection.inside(x, y + p * ROW_STEP):
-                    T[p] = -1.0
+                    least[p] = FINISHED
             begin, end = self._segment(tile, s)
-            for batch in range((end - begin + BATCH - 1) // BATCH):
-                # the barrier also keeps the last batch in place until every thread has read it
-                if ti.simt.block.sync_all_nonzero(ti.cast(T.max() < 0.0, ti.i32)) != 0:
+            for group in range((end - begin + WARP - 1) // WARP):
+                if vote(least.min() < FINISHED, WARP) == ti.u32(0):
                     break
-                first = begin + batch * BATCH
-                load_batch(self, shared, v, first, end, lane, threads, x0, y0)
-                for group in range((ti.min(BATCH, end - first) + 31) // 32):
-                    bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
-                    while (bits != ti.u32(0)) & (T.max() > 0.0):
-                        splat = fetched(shared, group * 32 + first_of(bits), 12)
-                        bits &= bits - ti.u32(1)
-                        dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
-                        tilt, base = splat[5] * dx, splat[2] - splat[4] * dx * dx
-                        for p in ti.static(range(pixels)):  # without branches: most splats of a cell touch some pixel
-                            power = base - (dy + p * ROW_STEP) * (tilt + splat[6] * (dy + p * ROW_STEP))
-                            alpha = ti.select(power < -CUTOFF_BITS, 0.0, ti.min(ALPHA_MAX, exp2(power)))
-                            weight = alpha * T[p]
-                            after = T[p] - weight
-                            visible = after > MIN_TRANSMITTANCE
-                            weight = ti.select(visible, weight, 0.0)
-                            T[p] = ti.select(visible, after, -ti.abs(T[p]))
-                            if ti.static(self.with_depth):
-                                depth[p] += weight * splat[3]
-                            if ti.static(self.with_color):
-                                red[p] += weight * splat[7]
-                                green[p] += weight * splat[8]
-                                blue[p] += weight * splat[9]
+                i, item, touches = begin + group * WARP + lane, ti.cast(0, ti.i64), 0
+                if i < end:
+                    item = self.bins.members[i]
+                    touches = ti.cast(key_of(item) >> ti.cast(CELLS_AT + cell, ti.u32), ti.i32) & 1
+                place, count = rank_lanes(touches, lane, WARP)
+                if touches != 0:
+                    words = self._words(v, value_of(item), left, top)
+                    for k in ti.static(range(10)):
+                        shared[PLACE * (cell * WARP + place) + k] = words[k]
+                sync_lanes(WARP)
+                for k in range(count):
+                    splat = ti.Vector([0.0] * 10)
+                    for n in ti.static(range(10)):  # within known bounds: wide loads
+                        splat[n] = shared[PLACE * ((cell * WARP + k) & (TILE_THREADS - 1)) + n]
+                    along = splat[0] * (x - left + 0.5) - splat[1]
+                    across = splat[4] * (y - top + 0.5) + (splat[5] * (x - left + 0.5) - splat[3])
+                    base = splat[2] - along * along
+                    for p in ti.static(range(pixels)):  # without branches: most splats of a cell touch some pixel
+                        u = across + p * ROW_STEP * splat[4]
+                        weight = T[p] * ti.min(ALPHA_MAX / SCALE, exp2(base - u * u))
+                        remains = T[p] - SCALE * weight > least[p]
+                        weight = ti.select(remains, weight, 0.0)
+                        least[p] = ti.select(remains, least[p], FINISHED)
+                        T[p] -= SCALE * weight
+                        if ti.static(self.with_depth):
+                            depth[p] += weight * splat[9]
+                        if ti.static(self.with_color):
+                            red[p] += weight * splat[6]
+                            green[p] += weight * splat[7]
+                            blue[p] += weight * splat[8]
+                sync_lanes(WARP)  # all have read, before the next splats are written
             for p in ti.static(range(pixels)):
                 if self.projection.inside(x, y + p * ROW_STEP):
                     rgb = ti.math.vec3(red[p], green[p], blue[p])
-                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - ti.abs(T[p]))
+                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - T[p] / SCALE)
 
     @ti.func
-    def words(self, v, g, mean2d, conic):
-        """Numbers of a splat in shared memory."""
-        color = ti.math.vec3(0.0)
+    def _words(self, v, g, left, top):
+        """Numbers of a splat at (x, y) [px] from the corner of a cell, (left, top) [px], by its factors q, s and t.
+
+        q, q x, log2 (opacity / SCALE), s y + t x, s, t, r, g, b, z
+        """
+        mean2d, color = self.projection.mean2d[v, g], ti.math.vec3(0.0)
         if ti.static(self.with_color):
             color = splat_color(self, v, g)
-        return splat_words(mean2d, conic, color)
+        q, s, t = factors(self.projection.conic[v, g])
+        x, y = mean2d.x - left, mean2d.y - top
+        return ti.Vector([q, q * x, mean2d.z - LOG_SCALE, s * y + t * x, s, t, color[0], color[1], color[2], mean2d.w])
 
 
 @ti.func
-def splat_words(mean2d, conic, color):
-    """Numbers of a splat in shared memory: x, y, log2 opacity, z, A, 2 B, C, r, g, b."""
-    x, y, log_opacity, z = mean2d[0], mean2d[1], mean2d[2], mean2d[3]
-    return ti.Vector([x, y, log_opacity, z, conic[0], 2 * conic[1], conic[2], color[0], color[1], color[2]])
+def factors(conic):
+    """q, s and t with A x^2 + 2 B x y + C y^2 = (q x)^2 + (s y + t x)^2.
+
+    The terms on the left cancel along a needle, and rounding would lose what it covers.
+    """
+    s = ti.sqrt(conic[2])
+    return ti.sqrt(conic[3] / conic[2]), s, conic[1] / s
 
 
 @ti.func

@@ -1,7 +1,5 @@
 """Backward pass of blending: gradients of the splats in a picture from the gradient of its pixels."""
 
-import math
-
 import taichi as ti
 
 from core.fields import FieldGroup
@@ -15,26 +13,26 @@ from render.blend import (
     CHECK_INTERVAL,
     CPU_TILE,
     GPU_TILE,
+    LN2,
     MIN_TRANSMITTANCE,
     PIXELS,
     QUAD,
     ROW_STEP,
-    TILE_PIXELS,
+    TILE_THREADS,
     covered_rows,
     exp2,
+    factors,
     fetched,
     filled,
     load_batch,
     pixel_of,
     splat_color,
-    splat_words,
     unfinished_rows,
 )
 from render.footprint import CUTOFF_BITS
 from render.per_pixel_sort import BUFFER_SIZE, EMPTY_INV_DEPTH, PIXEL_THREADS, pushed
 from render.radix_sort import value_of
 
-LN2 = math.log(2.0)
 BEHIND_ALL = 0.0  # [1/m] of empty splats that follow the last one: they drain the buffer
 MIN_ALPHA = 1e-10  # least opacity by which a pixel's depth is divided, as in the picture
 SUMS = 10  # accumulated numbers per Gaussian
@@ -81,7 +79,6 @@ class BlendGradients:
         self.background, self.has_background = background, background is not None
         self.with_geometry = with_geometry
         self.with_depth, self.on_gpu, self.keeps_index = with_depth, ti.cfg.arch == ti.cuda, True
-        self.pixels = PIXELS
         self.by_pixel = self.projection.with_slope
         if self.projection.views != 1:
             raise ValueError("gradients are those of one view")
@@ -218,10 +215,9 @@ class BlendGradients:
     @ti.func
     def _backward_gpu(self):
         """One tile per block of threads, one cell per warp, PIXELS of a column per thread, as `Blend` draws."""
-        threads = ti.static(TILE_PIXELS // PIXELS)
-        ti.loop_config(block_dim=threads)
-        for thread in range(self.bins.tiles_per_view() * threads):
-            tile, lane = thread // threads, thread % threads
+        ti.loop_config(block_dim=TILE_THREADS)
+        for thread in range(self.bins.tiles_per_view() * TILE_THREADS):
+            tile, lane = thread // TILE_THREADS, thread % TILE_THREADS
             _, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // 32, lane % 32
             x, y = pixel_of(x0, y0, cell, member, ti.static(PIXELS * ROW_STEP))
@@ -244,7 +240,7 @@ class BlendGradients:
                 if ti.simt.block.sync_all_nonzero(ti.cast(T.max() < 0.0, ti.i32)) != 0:
                     break
                 first = begin + batch * BATCH
-                load_batch(self, shared, 0, first, end, lane, threads, x0, y0)
+                load_batch(self, shared, 0, first, end, lane, TILE_THREADS)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     # a warp goes through its splats together: all lanes add up what a splat gets from its cell
@@ -256,10 +252,11 @@ class BlendGradients:
                         sums = ti.Vector([0.0] * SUMS)
                         touched = 0
                         dx, dy0 = x + 0.5 - splat[0], y + 0.5 - splat[1]
-                        tilt, base = splat[5] * dx, splat[2] - splat[4] * dx * dx
+                        base, across = splat[2] - (splat[3] * dx) ** 2, splat[4] * dy0 + splat[5] * dx
                         for p in ti.static(range(PIXELS)):
                             dy = dy0 + p * ROW_STEP
-                            power = base - dy * (tilt + splat[6] * dy)
+                            u = across + p * ROW_STEP * splat[4]
+                            power = base - u * u
                             exact = ti.select(power < -CUTOFF_BITS, 0.0, exp2(power))
                             alpha = ti.min(ALPHA_MAX, exact)
                             before = T[p]
@@ -268,11 +265,11 @@ class BlendGradients:
                             visible = after > MIN_TRANSMITTANCE
                             weight = ti.select(visible, weight, 0.0)
                             T[p] = ti.select(visible, after, -ti.abs(before))
-                            value = red[p] * splat[7] + green[p] * splat[8] + blue[p] * splat[9]
+                            value = red[p] * splat[6] + green[p] * splat[7] + blue[p] * splat[8]
                             if ti.static(self.has_background):
                                 value += opaque[p]
                             if ti.static(self.with_depth):
-                                value += depth[p] * splat[3] + opaque[p]
+                                value += depth[p] * splat[9] + opaque[p]
                                 sums[6] += weight * depth[p]
                             behind[p] -= weight * value
                             d_alpha = before * value - behind[p] / (1.0 - alpha)
@@ -363,8 +360,10 @@ class BlendGradients:
 
     @ti.func
     def words(self, v, g, mean2d, conic):
-        """Numbers of a splat in shared memory."""
-        return splat_words(mean2d, conic, splat_color(self, v, g))
+        """Numbers of a splat in shared memory: x, y, log2 opacity, the factors q, s and t, rgb, z."""
+        q, s, t = factors(conic)
+        c = splat_color(self, v, g)
+        return ti.Vector([mean2d.x, mean2d.y, mean2d.z, q, s, t, c[0], c[1], c[2], mean2d.w])
 
 
 @ti.func

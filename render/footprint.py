@@ -11,6 +11,8 @@ import taichi as ti
 from core.fields import FieldGroup
 
 CUTOFF_BITS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-CUTOFF_BITS
+ACROSS, DOWN = 4, 2  # cells of a tile on CUDA, each of which a warp draws
+CELL = 8  # [px] width of a cell
 MASK_COLUMNS, MASK_ROWS = 6, 5  # [tiles], 30 bits; a larger splat has no mask and is rasterised again when binned
 CUTOFF_SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 MAX_TILT = 0.5  # of the distance: largest change of depth within the splat; beyond it, the plane is flattened
@@ -49,6 +51,13 @@ def tile_mask_of(mean2d: vec4, conic: vec4, box: vec4, tile: ti.template(), grid
 
 
 @ti.func
+def masked_tile(corner: ti.i32, bits: ti.i32):
+    """Row and column of the tile of the lowest bit of a tile mask."""
+    lowest = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)
+    return (corner >> 16) + lowest // MASK_COLUMNS, (corner & 0xFFFF) + lowest % MASK_COLUMNS
+
+
+@ti.func
 def tile_box(mean2d: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
     """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
     left, right = tiles_between(mean2d.x - box[0], mean2d.x + box[0], 0, grid[None][2], tile[0])
@@ -68,6 +77,20 @@ def tile_columns(row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: 
         low, high = horizontal_extent(top, top + (tile[1] - 1), mean2d, conic, box)
         first, last = tiles_between(low, high, left, right, tile[0])
     return first, last
+
+
+@ti.func
+def touched_cells(row: ti.i32, column: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
+    """A bit for each cell of a tile that a splat touches, row by row."""
+    x0, height, bits = column * tile[0], ti.static(tile[1] // DOWN), 0
+    for down in ti.static(range(DOWN)):
+        top = row * tile[1] + down * height + 0.5
+        if mean2d.y - box[1] <= top + (height - 1) and mean2d.y + box[1] >= top:
+            left, right = horizontal_extent(top, top + (height - 1), mean2d, conic, box)
+            for across in ti.static(range(ACROSS)):
+                if left <= x0 + across * CELL + CELL - 0.5 and right >= x0 + across * CELL + 0.5:
+                    bits |= 1 << (down * ACROSS + across)
+    return bits
 
 
 @ti.func

@@ -18,7 +18,6 @@ from render.blend import (
     CPU_TILE,
     GPU_TILE,
     MIN_TRANSMITTANCE,
-    PIXELS,
     QUAD,
     exp2,
     fetched,
@@ -50,7 +49,7 @@ class PerPixelSort:
         self.bins, self.projection = bins, bins.projection
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth, self.buffer_size = with_color, with_depth, buffer_size
-        self.on_gpu, self.keeps_index, self.pixels = ti.cfg.arch == ti.cuda, False, PIXELS
+        self.on_gpu, self.keeps_index = ti.cfg.arch == ti.cuda, False
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):
@@ -167,7 +166,7 @@ class PerPixelSort:
                 if ti.simt.block.sync_all_nonzero(done) != 0:
                     break
                 first = begin + batch * BATCH
-                load_batch(self, shared, v, first, end, lane, PIXEL_THREADS, x0, y0)
+                load_batch(self, shared, v, first, end, lane, PIXEL_THREADS)
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
                     while (bits != ti.u32(0)) & (done == 0):

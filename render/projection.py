@@ -12,11 +12,11 @@ from render import SORTS
 from render.footprint import (
     CUTOFF_BITS,
     CUTOFF_SLACK,
-    MASK_COLUMNS,
     ChangedTiles,
     clamp,
     depth_slope,
     differ,
+    masked_tile,
     meets_picture,
     tile_box,
     tile_columns,
@@ -202,7 +202,8 @@ class Projection:
             if bits != 0 and not self.changed.everywhere():
                 count = 0
                 while bits > 0:
-                    count += ti.cast(self.draws(self.masked_tile(v, corner, bits)), ti.i32)
+                    row, column = masked_tile(corner, bits)
+                    count += ti.cast(self.draws(self.tile_at(v, row, column)), ti.i32)
                     bits &= bits - 1
             if bits < 0 and not self.changed.everywhere():
                 left, right, top, bottom = tile_box(self.mean2d[v, g], self.box[v, g], self.tile, self.grid)
@@ -233,12 +234,6 @@ class Projection:
     def tile_at(self, v: ti.i32, row: ti.i32, column: ti.i32) -> ti.i32:
         """Number of a tile: row by row, view by view."""
         return (v * self.grid[None][3] + row) * self.grid[None][2] + column
-
-    @ti.func
-    def masked_tile(self, v: ti.i32, corner: ti.i32, bits: ti.i32) -> ti.i32:
-        """Number of the tile of the lowest bit of a tile mask."""
-        lowest = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)
-        return self.tile_at(v, (corner >> 16) + lowest // MASK_COLUMNS, (corner & 0xFFFF) + lowest % MASK_COLUMNS)
 
     @ti.func
     def draws(self, tile: ti.i32):

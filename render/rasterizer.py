@@ -6,7 +6,7 @@ from core.camera import Camera
 from core.errors import BadInput
 from core.runtime import keep_compiled_kernels, launch
 from render.binning import DepthOrder, TileBins
-from render.blend import CPU_TILE, GPU_TILE, Blend
+from render.blend import CPU_TILE, GPU_TILE, LARGE_GPU_TILE, MANY_PIXELS, Blend
 from render.footprint import ChangedTiles
 from render.per_pixel_sort import BUFFER_SIZE, PerPixelSort
 from render.projection import Projection, camera_words
@@ -31,6 +31,7 @@ class Rasterizer:
     segments  see Blend; not with sort "pixel"
     keeps  tiles of which nothing has changed since the last draw keep their pixels, if `out` is the same: on a CPU,
            where blending takes most of the time
+    large_tiles  a picture of many pixels may have LARGE_GPU_TILEs, of which there are no gradients
     """
 
     def __init__(
@@ -49,8 +50,11 @@ class Rasterizer:
         segments: int = 1,
         still: int = 0,
         keeps: bool = False,
+        large_tiles: bool = False,
     ):
-        tile = GPU_TILE if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
+        many = large_tiles and sort != "pixel" and segments * views * width * height >= MANY_PIXELS
+        gpu_tile = LARGE_GPU_TILE if many else GPU_TILE
+        tile = gpu_tile if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
         self.splats, self.sink = splats, sink
         self._changed = ChangedTiles() if keeps and ti.cfg.arch != ti.cuda else None
         self._last: tuple | None = None  # range and `out` of the last draw, unless all has changed since

@@ -102,8 +102,9 @@ class ShadowMap:
         self.splats, self.begin, self.box_chunks, self.lanes = splats, begin, BOX_CHUNKS[device], lane_count()
         self.map = DepthMap(resolution, segments or SEGMENTS[device])
         self.rasterizer = Rasterizer(
-            splats, resolution, resolution, views=1, sink=self.map, color=False, segments=self.map.segments
-        )
+            splats, resolution, resolution,
+            views=1, sink=self.map, color=False, segments=self.map.segments, large_tiles=True,
+        )  # fmt: skip
         self.fields = f = FieldGroup()
         self.camera = f.vector(2, 4, n=4)  # of each layer, as Projection.camera
         self.low, self.high = f.vector(), f.vector()  # box of the dynamic Gaussians [m]

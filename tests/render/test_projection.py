@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import taichi as ti
 
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at
+from render.footprint import ACROSS, DOWN, touched_cells
 from tests.support import reference_render as reference
 from tests.support.drawing import Drawing
 
@@ -75,6 +77,31 @@ def test_splats_and_their_tiles_equal_the_twin(drawings, antialias):
         needed[i] = tiles_with_a_visible_pixel(uv[i], sigma[i], opacity[i], p.tile, shape).ravel()
     assert not (needed & ~binned).any()
     assert binned.sum() < 1.1 * needed.sum()  # a strip's span counts between pixel centres, too
+
+
+@pytest.mark.parametrize("tile", [(32, 16), (32, 32)])
+def test_cells_hold_all_splats_with_a_visible_pixel_in_them_and_few_others(drawings, tile):
+    g, p = gaussians(1500, 0), drawings[False].rasterizer.projection
+    drawings[False].draw(g, [CAMERA])
+    columns, rows = -(-CAMERA.width // tile[0]), -(-CAMERA.height // tile[1])
+    found = ti.field(ti.i32, (len(g), rows, columns))
+
+    @ti.kernel
+    def find():
+        for i, row, column in found:
+            box = p.box[0, i]
+            found[i, row, column] = touched_cells(row, column, p.mean2d[0, i], p.conic[0, i], box, tile)
+
+    find()
+    drawn = p.tile_mask.to_numpy()[0, : len(g), 1] != 0
+    bits = found.to_numpy()[..., None] >> np.arange(ACROSS * DOWN) & 1
+    touched = bits.reshape(len(g), rows, columns, DOWN, ACROSS).swapaxes(2, 3).reshape(len(g), rows * DOWN, -1)
+    uv, sigma, opacity, _, _ = reference.project(g.means, reference.covariances(g), g.opacities, CAMERA)
+    cell, needed = (tile[0] // ACROSS, tile[1] // DOWN), np.zeros(touched.shape, bool)
+    for i in np.flatnonzero(drawn):
+        needed[i] = tiles_with_a_visible_pixel(uv[i], sigma[i], opacity[i], cell, touched.shape[1:])
+    assert not (needed & (touched == 0)).any()
+    assert touched[drawn].sum() < 1.1 * needed.sum()
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

@@ -204,7 +204,7 @@ class Contacts(Constraint):
     def project_vertex_implicit(self, i, dx, H, A, prior):
         """VBD: the increment of vertex i, in the metric H [N/m] = A^-1; `prior` [N]: the force of the last sweep.
 
-        Returns it, the force that it took [N], and the contact stiffness [N/m], 0 without contact.
+        Returns it, the force that it took [N], and that force's stiffness [N/m]: along the normal, and as a matrix.
         """
         return self.static.project_vertex_metric(i, dx, H, A, prior)
 

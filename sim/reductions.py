@@ -65,13 +65,13 @@ class ReductionBlocks:
             partial[j, k] = total
 
     @ti.func
-    def sum_by_lanes(self, partial: ti.template(), b, k, lane):
-        """Sum of column k of the blocks' values `partial` over body b, by all lanes together, in the first of them."""
+    def sum_by_lanes(self, partial: ti.template(), b, k, lane, lanes: ti.template()):
+        """Sum of column k of the blocks' values `partial` over body b, by so many lanes, in the first of them."""
         total, j = 0.0, self.begin[b] + lane
         while j < self.begin[b + 1]:
             total += partial[j, k]
-            j += self.lanes
-        return sum_lanes(total, self.lanes)
+            j += ti.static(lanes)
+        return sum_lanes(total, lanes)
 
     @ti.func
     def max_by_lanes(self, partial: ti.template(), b, k, sign, lane):
@@ -254,7 +254,7 @@ class Reductions:
             if b < s.body_count[None] and k < ANY_MOVED:
                 value = 0.0
                 if k < LOW:
-                    value = c.sum_by_lanes(self.partial, b, k, lane)
+                    value = c.sum_by_lanes(self.partial, b, k, lane, c.lanes)
                 else:
                     sign = -1.0 if k < HIGH or k == FINITE else 1.0  # the least
                     value = sign * c.max_by_lanes(self.partial, b, k, sign, lane)

@@ -306,7 +306,7 @@ class SelfCollision:
         for w in range(MAX_BODIES * SHAPE_SUMS * c.lanes):
             bk, lane = w // c.lanes, w % c.lanes
             b, k = bk // SHAPE_SUMS, bk % SHAPE_SUMS
-            total = c.sum_by_lanes(self.sums, b, k, lane)
+            total = c.sum_by_lanes(self.sums, b, k, lane, c.lanes)
             if lane == 0:
                 self.total[b, k] = total
         for b in range(MAX_BODIES):

@@ -136,16 +136,18 @@ class StaticContact:
     def project_vertex_metric(self, i, dx, H, A, prior):
         """The increment dx of vertex i [m] moved out of all shapes near it in the metric of H = A^-1.
 
-        prior [N]: the contact force of the last sweep. Returns also the force now [N], and its stiffness [N/m].
+        prior [N]: the contact force of the last sweep. Returns also the force now [N], the stiffness along the normal
+        [N/m], and the matrix K [N/m] of all: if dx changes by u, the force changes by -K u. Where it sticks, tangential
+        motion is held; where it slides, friction changes with the normal force.
         """
         s = self.state
-        d, force, stiffness = dx, vec3(0.0), 0.0
+        d, force, stiffness, K = dx, vec3(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
         p = self.samples.of_vertex[i]
         if p >= 0 and self.contact_count[p] > 0:
             contact_stiffness = CONTACT_STIFFNESS * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
             for k in range(self.contact_count[p]):
                 n = self.normal[p, k]
-                y, A_n = d - s.x_lo[i], A @ n
+                y, A_n, H_n = d - s.x_lo[i], A @ n, H @ n
                 y_n, w_n = n.dot(y), n.dot(A_n)
                 lacking = min_normal_motion(self.phi[p, k], s.dt[None]) - y_n
                 if lacking > 0.0:
@@ -154,9 +156,16 @@ class StaticContact:
                     f = contact_impulse(holding, n, A_n, A.trace() / 3.0, self.friction[p, k], s.dt[None])
                     d += A @ f
                     force += f
-                    stiffness = ti.max(stiffness, ti.min(n.dot(H @ n), n.dot(f) / lacking))
+                    f_n = n.dot(f)
+                    if f_n > 0.0:
+                        along = ti.min(n.dot(H_n), f_n / lacking)
+                        stiffness = ti.max(stiffness, along)
+                        K_k = along / f_n * f.outer_product(n)
+                        if (f - holding).norm_sqr() == 0.0:  # along n n^T + (1 - n n^T) H (1 - n n^T)
+                            K_k = H + ((n.dot(H_n) + along) * n - H_n).outer_product(n) - n.outer_product(H_n)
+                        K += K_k - K_k @ (A @ K)  # what the contacts before it leave of u
             self.forces.correction[i] = s.dt[None] ** 2 / s.mass[i] * force
-        return d, force, stiffness
+        return d, force, stiffness, K
 
     @ti.func
     def evaluate(self, p):

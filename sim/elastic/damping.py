@@ -120,7 +120,7 @@ class Damping:
         for w in range(MAX_BODIES * DAMPING_SUMS * c.lanes):
             bk, lane = w // c.lanes, w % c.lanes
             b, k = bk // DAMPING_SUMS, bk % DAMPING_SUMS
-            total = c.sum_by_lanes(self.sums, b, k, lane)
+            total = c.sum_by_lanes(self.sums, b, k, lane, c.lanes)
             if lane == 0:
                 self.total[b, k] = total
 

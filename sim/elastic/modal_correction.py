@@ -267,7 +267,7 @@ class ModalCorrection:
     @ti.func
     def find_amplitude(self, bk, lane):
         """q_k of body b, at bk = b * MODES + k."""
-        total = self._sum_of_blocks(self.mode_sums, bk // MODES, bk % MODES, lane)
+        total = self.blocks.sum_by_lanes(self.mode_sums, bk // MODES, bk % MODES, lane, self.lanes)
         if lane == 0:
             s = self.state
             stiffness = s.stress_share(s.stress_lag[bk // MODES]) * self.frequency_sqr[bk]
@@ -321,16 +321,7 @@ class ModalCorrection:
     @ti.func
     def _body_sum(self, b, k: ti.template(), lane):
         """Sum k of `product_sums` over body b, in all lanes."""
-        return from_lane(self._sum_of_blocks(self.product_sums, b, k, lane), 0, self.lanes)
-
-    @ti.func
-    def _sum_of_blocks(self, partial: ti.template(), b, k, lane):
-        """Sum of column k of the blocks' values over body b, in the first lane."""
-        total, j = 0.0, self.blocks.begin[b] + lane
-        while j < self.blocks.begin[b + 1]:
-            total += partial[j, k]
-            j += self.lanes
-        return self._sum(total)
+        return from_lane(self.blocks.sum_by_lanes(self.product_sums, b, k, lane, self.lanes), 0, self.lanes)
 
     def destroy(self) -> None:
         self._group.destroy()

@@ -7,9 +7,9 @@ vertex, so for that vertex alone the energy is a quadratic, and its minimum is m
 
 where F is that of s dx - lag v (sim/state.py), b the gradient of the vertex's shape function at rest, and c =
 cof(F) b. H is positive definite whatever F is, so every update lowers the energy. Vertices of one colour share no tet
-and are moved at the same time. Few sweeps bring a push only a few rings of tets far. So bodies that others may touch
-move as wholes as well (sim/elastic/whole_bodies.py), which keeps momentum, and after the sweeps of a substep each body
-moves along its softest modes (sim/elastic/modal_correction.py).
+and are moved at the same time. Few sweeps bring a push only a few rings of tets far. So after them each body moves as a
+whole as well (sim/elastic/whole_bodies.py), which keeps momentum, and along its softest modes
+(sim/elastic/modal_correction.py).
 
     begin     dx = dt v + dt^2 a + x_lo, a = the last acceleration, its part along gravity brought into [0, |g|]
               (Sec. 3.6), then that across into the ball of diameter g: what floors and slopes leave of g. What rests
@@ -17,8 +17,8 @@ moves along its softest modes (sim/elastic/modal_correction.py).
               target = prediction + pushes
     sweep     colour by colour; after each vertex its static contacts, in the metric of H (sim/contact/response.py)
     phases    impulses push the target; dx itself moves by effective_inv_mass/w of that, which is tr(H^-1)/(3 dt^2);
-              before them, and after the last ones, bodies move as wholes
-    modes     the modal correction
+              before them bodies move as wholes
+    modes     bodies move as wholes; the modal correction
     end       commit
 """
 
@@ -93,6 +93,7 @@ class VertexDescent:
         self.reaction = g.vector(V)  # force of static shapes [N]
         self.fall = g.vector(V)  # what is expected of the acceleration [m/s^2]
         self.contact_stiffness = g.scalar(V)  # of the vertex where something touches it, else 0 [N/m]
+        self.contact_matrix, self.held = g.matrix(V), g.matrix(V)  # where static shapes do: K [N/m] and H^-1 K
         self.effective_inv_mass = g.scalar(V)  # displacement within the substep per impulse [1/kg]
         g.build()
         last = [self.fall, self.reaction, self.contact_stiffness, self.impulse_displacement, self.effective_inv_mass]
@@ -139,9 +140,9 @@ class VertexDescent:
         d = dx + A @ (f + stiffness * (target - dx))
         reaction, contact_stiffness = ti.Vector([0.0, 0.0, 0.0]), 0.0
         for c in ti.static(self.on_vertex):
-            d, p, k = c.project_vertex_implicit(i, d, A_inverse, A, prior)
-            reaction += p
-            contact_stiffness = ti.max(contact_stiffness, k)
+            d, reaction, contact_stiffness, K = c.project_vertex_implicit(i, d, A_inverse, A, prior)
+            if reaction.norm_sqr() > 0.0:
+                self.contact_matrix[i], self.held[i] = K, A @ K
         s.dx[i] = d
         self.reaction[i] = reaction
         self.contact_stiffness[i] = contact_stiffness
@@ -235,9 +236,10 @@ class VBDSubsteps:
                 rigid = [phase_kernels(self.state, self, c, (EARLY_PASSES, ALL_PASSES)) for c in self.in_pairs]
                 phases = [[k for kernels in rigid for k in kernels[n]] + phases[n] for n in range(2)]
             modal = self.modal.kernels()
+            balance = self.whole.kernel()
             if self.in_pairs:
-                balance = self.whole.kernel()
-                phases, modal = [[balance, *p] for p in phases], [balance, *modal]
+                phases = [[balance, *p] for p in phases]
+            modal = [balance, *modal]
             self.kernels = self._begin(), self._sweep(), phases, modal, self._end()
         begin, sweep, phases, modal, end = self.kernels
         colors, graph = range(self.colors), Graph()

@@ -175,9 +175,10 @@ class PersistentVBD:
             if paired:
                 passed = self._balance(thread, passed)
                 passed = self._pairs(thread, passed, sweep == self.iterations - 1)
-                if sweep == self.iterations - 1:
-                    passed = self._balance(thread, passed)
-                self._stage(thread, mine, several, ALL_COLORS, points, words)
+                if sweep < self.iterations - 1:
+                    self._stage(thread, mine, several, ALL_COLORS, points, words)
+        passed = self._balance(thread, passed)
+        self._stage(thread, mine, several, ALL_COLORS, points, words)
         return passed
 
     @ti.func

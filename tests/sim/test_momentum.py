@@ -4,14 +4,13 @@ import pytest
 
 from bench.physics_contact import LIMITS, kept
 
-WHOLE = ("momentum lost", "kinetic energy left", "fastest [m/s]")
-
 
 @pytest.mark.parametrize("young", [1e6, 1e8])
 def test_bodies_that_meet_keep_momentum_and_gain_no_energy(ti_cpu, young):
     """Soft on rigid head-on and glancing, soft on soft, a stack, a load on a sled; a stiff body once took up 4%.
 
-    On a slope one of 1e6 Pa was once 11% too slow, as each substep began by pressing it into the slope.
+    On a slope one of 1e6 Pa was once 11% too slow, as each substep began by pressing it into the slope, and one of 1e8
+    stood still; a kick along a smooth wall made it 15% faster.
     """
-    found = {k: v for k, v in kept("vbd", young, frames=12).items() if young <= 1e6 or k.endswith(WHOLE)}
+    found = kept("vbd", young, frames=12)
     assert not {k: v for k, v in found.items() if abs(v) > LIMITS[k.split(", ")[-1]]}

@@ -153,7 +153,7 @@ class StaticContact:
                 if lacking > 0.0:
                     most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
                     holding = H @ (ti.min(lacking, w_n * most) * n - (y - y_n * n))
-                    f = contact_impulse(holding, n, A_n, A.trace() / 3.0, self.friction[p, k], s.dt[None])
+                    f = contact_impulse(holding, n, A_n, A.trace() / 3.0, self.friction[p, k], most, s.dt[None])
                     d += A @ f
                     force += f
                     f_n = n.dot(f)

@@ -136,7 +136,10 @@ class StaticContact:
     def project_vertex_metric(self, i, dx, H, A, prior):
         """The increment dx of vertex i [m] moved out of all shapes near it in the metric of H = A^-1.
 
-        prior [N]: the contact force of the last sweep. Returns also the force now [N], the stiffness along the normal
+        prior [N]: the contact force of the last sweep. A force whose normal part would be larger than its stiffness
+        allows (CONTACT_STIFFNESS) is scaled as a whole: so it stays in Coulomb's cone, and still only takes energy. With
+        a bound of the normal motion alone a vertex of a stiff body jams: what stops it against the motion of the body
+        presses it into the shape as well, and any force lies in the cone. Returns also the force now [N], the stiffness along the normal
         [N/m], and the matrix K [N/m] of all: if dx changes by u, the force changes by -K u. Where it sticks, tangential
         motion is held; where it slides, friction changes with the normal force.
         """
@@ -148,12 +151,13 @@ class StaticContact:
             for k in range(self.contact_count[p]):
                 n = self.normal[p, k]
                 y, A_n, H_n = d - s.x_lo[i], A @ n, H @ n
-                y_n, w_n = n.dot(y), n.dot(A_n)
+                y_n = n.dot(y)
                 lacking = min_normal_motion(self.phi[p, k], s.dt[None]) - y_n
                 if lacking > 0.0:
                     most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
-                    holding = H @ (ti.min(lacking, w_n * most) * n - (y - y_n * n))
-                    f = contact_impulse(holding, n, A_n, A.trace() / 3.0, self.friction[p, k], most, s.dt[None])
+                    holding = H @ (lacking * n - (y - y_n * n))
+                    f = contact_impulse(holding, n, A_n, A.trace() / 3.0, self.friction[p, k], s.dt[None])
+                    f *= ti.min(most / ti.max(n.dot(f), 1e-30), 1.0)
                     d += A @ f
                     force += f
                     f_n = n.dot(f)

@@ -64,31 +64,28 @@ def holding_impulse(old, n, y, least, w_n, w_t, compliance, damping, most):
 
 
 @ti.func
-def contact_impulse(holding, n, A_n, w_t, friction, most, dt):
+def contact_impulse(holding, n, A_n, w_t, friction, dt):
     """The impulse of a contact: between the frictionless one and `holding`, the last one inside Coulomb's cone.
 
         p = alpha n + theta (holding - alpha n),   alpha = A n . holding / A n . n,   the largest theta in [0, 1] with
-        |p_t| <= mu n . p,   n . p <= max(alpha, most)
+        |p_t| <= mu n . p
 
     All of these give the same normal motion, and alpha n, which is in the cone, gives it without friction; if that had
     to pull, there is no contact. The less of `holding` is left, the less energy is taken; none is ever given, however A
-    couples the directions. `most` keeps a coupled contact from jamming: what stops a vertex of a stiff body against the
-    motion of the whole body presses it into the shape as well, so that Coulomb's cone alone would let it stick with any
-    force, and store more energy than the body has. A_n: A n or any multiple; w_t: motion for a unit of tangential impulse, by which a contact
+    couples the directions. A_n: A n or any multiple; w_t: motion for a unit of tangential impulse, by which a contact
     slides; friction = (mu_s, mu_k).
     """
     p = ti.Vector([0.0, 0.0, 0.0])
     alpha = A_n.dot(holding) / A_n.dot(n)
     if alpha > 0.0:
-        p, p_n, most_n = holding, n.dot(holding), ti.max(most, alpha)
-        if p_n > most_n:
-            p, p_n = alpha * n + (most_n - alpha) / (p_n - alpha) * (holding - alpha * n), most_n
-        tangential = (p - p_n * n).norm()
+        p = holding
+        p_n = n.dot(holding)
+        tangential = (holding - p_n * n).norm()
         lacking = tangential - friction[0] * p_n
         if lacking > 0.0:
             mu = friction_coefficient(lacking * w_t, friction, dt)
             theta = mu * alpha / (tangential - mu * (p_n - alpha))
-            p = alpha * n + theta * (p - alpha * n)
+            p = alpha * n + theta * (holding - alpha * n)
     return p
 
 

@@ -40,11 +40,10 @@ def device(ti_cpu):
     scalar, spring = ti.field(ti.f32, N), ti.Vector.field(3, ti.f32, ())
 
     @ti.kernel
-    def solve(mu_s: ti.f32, mu_k: ti.f32, most: ti.f32):
+    def solve(mu_s: ti.f32, mu_k: ti.f32):
         for k in range(N):
             A = matrix[k]
-            mu = ti.Vector([mu_s, mu_k])
-            out[k] = contact_impulse(vector[k], n[k], A @ n[k], A.trace() / 3.0, mu, most, DT)
+            out[k] = contact_impulse(vector[k], n[k], A @ n[k], A.trace() / 3.0, ti.Vector([mu_s, mu_k]), DT)
 
     @ti.kernel
     def solve_isotropic(mu: ti.f32):
@@ -93,9 +92,8 @@ def device(ti_cpu):
 
     class Device:
         @staticmethod
-        def impulse(normals, holding, A, mu_s, mu_k=None, most=1e30):
-            mu_k = mu_s if mu_k is None else mu_k
-            return result(solve, out, mu_s, mu_k, most, n=normals, vector=holding, matrix=A)
+        def impulse(normals, holding, A, mu_s, mu_k=None):
+            return result(solve, out, mu_s, mu_s if mu_k is None else mu_k, n=normals, vector=holding, matrix=A)
 
         @staticmethod
         def isotropic_impulse(normals, holding, w, mu):
@@ -122,33 +120,20 @@ def device(ti_cpu):
     return Device
 
 
-def solved(device, friction: float, least: float = 0.0, most: float = 1e30):
+def solved(device, friction: float, least: float = 0.0):
     """Random contacts, what would hold them, their impulses, and the motions after."""
     c = random_contacts()
     y_n, y_t = split(c["y"], c["n"])
     holding = np.einsum("kij,kj->ki", c["H"], (least - y_n)[:, None] * c["n"] - y_t)
-    p = device.impulse(c["n"], holding, c["A"], friction, most=most)
+    p = device.impulse(c["n"], holding, c["A"], friction)
     return c, holding, p, c["y"] + np.einsum("kij,kj->ki", c["A"], p)
 
 
-@pytest.mark.parametrize("most", [1e30, 0.5])
 @pytest.mark.parametrize("friction", FRICTIONS)
-def test_impulses_are_those_of_the_twin(device, friction, most):
-    c, holding, p, _ = solved(device, friction, most=most)
+def test_impulses_are_those_of_the_twin(device, friction):
+    c, holding, p, _ = solved(device, friction)
     scale = np.linalg.norm(holding, axis=1).max()
-    assert_allclose(p, contact_impulse(holding, c["n"], c["A"], friction, most), atol=2e-5 * scale)
-
-
-def test_what_must_press_to_stick_slides_at_the_largest_normal_impulse(device):
-    """With friction 1 some random contacts stick by pressing hard; with a limit they press no more, and still move out."""
-    c, holding, free, _ = solved(device, 1.0)
-    A_n = np.einsum("kij,kj->ki", c["A"], c["n"])
-    frictionless = dot(A_n, holding) / dot(A_n, c["n"])
-    _, _, p, after = solved(device, 1.0, most=0.5)
-    limited = dot(free, c["n"]) > np.maximum(frictionless, 0.5) * (1 + 1e-4)
-    assert limited.sum() > 20
-    assert_allclose(dot(p, c["n"])[limited], np.maximum(frictionless, 0.5)[limited], rtol=1e-3, atol=1e-4)
-    assert_allclose(dot(after, c["n"])[limited], 0.0, atol=1e-4)
+    assert_allclose(p, contact_impulse(holding, c["n"], c["A"], friction), atol=2e-5 * scale)
 
 
 @pytest.mark.parametrize("friction", FRICTIONS)

@@ -424,7 +424,7 @@ def test_stiff_bodies_thrown_at_the_floor_gain_no_energy(floor, plates):
         x, tets, surface = shapes[3 if plates else k % 4]
         q, v = rng.normal(size=4), rng.normal(size=3)
         v *= speeds[k] / np.linalg.norm(v)
-        place = {"position": (9.0 * (k % 4), height, 9.0 * (k // 4)), "rotation": tuple(q / np.linalg.norm(q))}
+        place = {"position": (2.0 * (k % 4), height, 2.0 * (k // 4)), "rotation": tuple(q / np.linalg.norm(q))}
         place |= {"velocity": (v[0], -abs(v[1]), v[2]), "self_contact": False}
         bodies.append(SoftBody(f"body {k}", x - x.mean(0), tets, surface, materials[1 if plates else k // 4], **place))
     solver = holding(floor, bodies)

@@ -12,11 +12,10 @@ def split(p: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return dot(p, n), p - dot(p, n)[:, None] * n
 
 
-def contact_impulse(holding, n, A, friction: float, most=np.inf) -> np.ndarray:
+def contact_impulse(holding, n, A, friction: float) -> np.ndarray:
     """Of alpha n + theta (holding - alpha n), alpha = nAh/nAn, that of the largest theta in Coulomb's cone, bisected.
 
-    A (N, 3, 3) inverse effective mass; one coefficient of friction; normal parts at most max(alpha, most); no impulse
-    where alpha <= 0.
+    A (N, 3, 3) inverse effective mass; one coefficient of friction; no impulse where alpha <= 0.
     """
     A_n = np.einsum("kij,kj->ki", A, n)
     alpha = dot(A_n, holding) / dot(A_n, n)
@@ -25,11 +24,10 @@ def contact_impulse(holding, n, A, friction: float, most=np.inf) -> np.ndarray:
     for _ in range(60):
         theta = 0.5 * (low + high)
         p_n, p_t = split(free + theta[:, None] * (holding - free), n)
-        within = (np.linalg.norm(p_t, axis=1) <= friction * p_n) & (p_n <= np.maximum(alpha, most))
+        within = np.linalg.norm(p_t, axis=1) <= friction * p_n
         low, high = np.where(within, theta, low), np.where(within, high, theta)
     whole, part = split(holding, n)
-    held = (np.linalg.norm(part, axis=1) <= friction * whole) & (whole <= np.maximum(alpha, most))
-    low = np.where(held, 1.0, low)
+    low = np.where(np.linalg.norm(part, axis=1) <= friction * whole, 1.0, low)
     return np.where(alpha[:, None] > 0.0, free + low[:, None] * (holding - free), 0.0)
 
 

@@ -136,12 +136,13 @@ class StaticContact:
     def project_vertex_metric(self, i, dx, H, A, prior):
         """The increment dx of vertex i [m] moved out of all shapes near it in the metric of H = A^-1.
 
-        prior [N]: the contact force of the last sweep. A force whose normal part would be larger than its stiffness
-        allows (CONTACT_STIFFNESS) is scaled as a whole: so it stays in Coulomb's cone, and still only takes energy. With
-        a bound of the normal motion alone a vertex of a stiff body jams: what stops it against the motion of the body
-        presses it into the shape as well, and any force lies in the cone. Returns also the force now [N], the stiffness along the normal
+        prior [N]: the contact force of the last sweep. Returns also the force now [N], the stiffness along the normal
         [N/m], and the matrix K [N/m] of all: if dx changes by u, the force changes by -K u. Where it sticks, tangential
         motion is held; where it slides, friction changes with the normal force.
+
+        A force whose normal part is larger than CONTACT_STIFFNESS allows is scaled as a whole: so it stays in Coulomb's
+        cone, and still only takes energy. Were only the normal motion bounded, vertices of stiff bodies would jam: what
+        stops one against the motion of its body presses it into the shape as well, so any force lies in the cone.
         """
         s = self.state
         d, force, stiffness, K = dx, vec3(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)

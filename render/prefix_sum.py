@@ -3,7 +3,7 @@
 import taichi as ti
 
 from core.fields import FieldGroup
-from core.lanes import RUN, begins
+from core.lanes import ALL, RUN, WARP, begins
 
 MAX_SUM = (1 << 30) - 1  # sums saturate here: two of them still fit an i32
 CPU_CHUNKS = 16  # more than a small machine's cores, few enough to scan one after the other
@@ -26,22 +26,24 @@ def saturating_add(a: ti.i32, b: ti.i32) -> ti.i32:
 def block_exclusive(shared: ti.template(), value: ti.i32, lane: ti.i32):
     """Exclusive prefix sum of `value` over the threads of a block of BLOCK, CUDA only.
 
-    Every thread of the block must call it. Hillis and Steele's scan in the first 2 BLOCK words of `shared`.
+    Every thread of the block must call it. Uses the first words of `shared`, one for each warp.
     """
+    total, member = value, lane % WARP
+    for step in ti.static(range(WARP.bit_length() - 1)):
+        other = ti.simt.warp.shfl_up_i32(ti.u32(ALL), total, 1 << step)
+        if member >= (1 << step):
+            total = saturating_add(total, other)
     ti.simt.block.sync()
-    shared[lane] = value
-    side = 0
-    for step in ti.static(range(BLOCK.bit_length() - 1)):
-        ti.simt.block.sync()
-        total = shared[side * BLOCK + lane]
-        if lane >= (1 << step):
-            total = saturating_add(total, shared[side * BLOCK + lane - (1 << step)])
-        side = 1 - side
-        shared[side * BLOCK + lane] = total
+    if member == WARP - 1:
+        shared[lane // WARP] = total
     ti.simt.block.sync()
     before = 0
-    if lane > 0:
-        before = shared[side * BLOCK + lane - 1]
+    for warp in ti.static(range(BLOCK // WARP)):
+        if warp < lane // WARP:
+            before = saturating_add(before, shared[warp])
+    other = ti.simt.warp.shfl_up_i32(ti.u32(ALL), total, 1)
+    if member > 0:
+        before = saturating_add(before, other)
     return before
 
 

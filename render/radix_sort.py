@@ -3,7 +3,7 @@
 import taichi as ti
 
 from core.fields import FieldGroup
-from core.lanes import RUN, begins
+from core.lanes import ALL, RUN, WARP, begins, vote
 from render.prefix_sum import BLOCK, CPU_CHUNKS, SHARED_WORDS, block_exclusive
 
 DROPPED = 0xFFFFFFFF  # key of an item that is to be left out
@@ -13,7 +13,7 @@ WARPS = BLOCK // 32
 SORT_ITEMS = 8  # per thread of a block
 BLOCK_ITEMS = BLOCK * SORT_ITEMS
 RANK_BITS = BLOCK_ITEMS.bit_length() - 1
-# Offsets in a block's shared memory. The first 2 BLOCK words belong to block_exclusive until OFFSETS take them.
+# Offsets in a block's shared memory. The first words belong to block_exclusive until OFFSETS take them.
 OFFSETS, KEPT = 0, BLOCK
 COUNTS = 2 * BLOCK
 KEYS = COUNTS + WARPS * BLOCK
@@ -192,6 +192,18 @@ class RadixSort:
                 self.bucket_total[d] = before
 
     @ti.func
+    def _peers(self, digit: ti.i32, p: ti.template()) -> ti.u32:
+        """Lanes with the same digit: by its bits where lanes differ, and at once where most agree, in the last pass."""
+        peers = ti.u32(ALL)
+        if ti.static(p + 1 < self.passes):
+            for bit in ti.static(range(GPU_DIGIT_BITS + 1)):
+                one = (digit >> bit) & 1
+                peers &= vote(one, WARP) ^ ti.cast(one - 1, ti.u32)
+        else:
+            peers = ti.cast(ti.simt.warp.match_any(ti.u32(ALL), digit), ti.u32)
+        return peers
+
+    @ti.func
     def _move_gpu(self, p: ti.template()):
         """Rank of an item = items of its digit before it: in earlier blocks, warps, rounds, lanes.
 
@@ -218,7 +230,7 @@ class RadixSort:
                         key = self._key(p, first + j * 32)
                         if self._is_kept(key, p):
                             digit = self._bucket(key, p)
-                    peers = ti.cast(ti.simt.warp.match_any(everyone, digit), ti.u32)
+                    peers = self._peers(digit, p)
                     before = 0
                     if digit < BLOCK:
                         before = shared[COUNTS + warp * BLOCK + digit]

@@ -145,34 +145,70 @@ def program():
 #       ret void
 #     }
 #     declare float @llvm.nvvm.ex2.approx.ftz.f(float)
-EXP2_BITCODE = base64.b64decode(
-    "QkPA3iEQAABNAAAAEwRBKBAAAAADAAAAMxDB/////w+AAAAAkUAAAAEAAAAjBAEAEUEAAAUAAAATBMUMwCACAIwATDUAQjDVAAAAACNM7mAP"
-    "8EAP+GAHdNAG7mAP6UAO6RAObTAO9UAO4TBDGpRDG6SDHdCBHtgBHbRBOsSBHOCBHsSBHOBBG9hDHNiBHsSBHbSBPcyBHOjBHMhBG7hDHNiB"
-    "HsyBHOiBHdDBIMgAAFEAAMAgCAEEAAAAQDgQAAAAFQAAABNsADuwgz20wy+4gz3YQzv8Qjnggxz8QjjAAzzIwzvgwy+YAz3owy+YwwRbwA7s"
-    "YA/t4AbuYA/20A5uUA74IAduEA7wAA/y8A744AbmQA/64AbmAMFAAAAHAAAAEwTBUEQADMCIQQGAIBgQQzBsQAzBAIwCAAAAAAAAAAA="
+#     define weak_odr void @load_quad(i64* %at, float* %a, float* %b, float* %c, float* %d) alwaysinline {
+#       %n = load i64, i64* %at, align 8
+#       %p = inttoptr i64 %n to <4 x float> addrspace(1)*
+#       %v = load <4 x float>, <4 x float> addrspace(1)* %p, align 16
+#       %v0 = extractelement <4 x float> %v, i32 0                                    and so on for b, c and d
+#       store float %v0, float* %a, align 4
+#       ret void
+#     }
+# and store_quad, its reverse.
+BITCODE = base64.b64decode(
+    "QkPA3jUUAAAFAAAAYgwwJEpZvmaN+7SvC1GATAEAAAAhDAAAggEAAAsCIQACAAAAFgAAAAeBI5FByARJBhAyOZIBhAwlBQgZHgSLYoAQRQJCkgtC"
+    "hBAyFDgIGEsKMkKISHDEISNEEoeMEEGSAmTICLEUIENGiCDJATJChBgqKCqQMXywXJEgxMgAAACJIAAAEQAAADIiCAkgYkYAISskmBAhJSSYEBkn"
+    "DIWkkGBCZFwgJGSC4BkBmAGgMAIIjREiqOYIQIHOGIAiIpQDAcMIRDCIwARzBGAAURgAAAcAAAAbiOD/////B0DYwAj/////PwB+APwBIAEU0AcA"
+    "SRgAAAIAAAATgmBCIAAAABMmd7AHeKAHfLADOmgDd7CHdCCHdAiHNhiHeiCHcNiQBuXQBulgB3SgB3ZAB22QDnEgB3igB3EgB3jQBvYQB3agB3Fg"
+    "B21gD3MgB3owB3LQBu4QB3agB3MgB3pgB3SgEcLkEOHN6fK0++wbUgHaAABRAAAAAAAAAAAAoAFDKk0rgAAQAAAAAAAAAAAANGBIRQdJAgBRAAAA"
+    "AAAAAAAAoAFDqj5QEgCIAgAAAAAAAAAAAA2Q2CBQtDAAACAWAwAAAJcAAAAzCIAcxOEcZhQBPYhDOITDjEKAB3l4B3OYcQzmAA/tEA70gA4zDEIe"
+    "wsEdzqEcZjAFPYhDOISDG8wDPchDPYwDPcx4jHRwB3sIB3lIh3BwB3pwA3Z4h3AghxnMEQ7skA7hMA9uMA/j8A7wUA4zEMQd3iEc2CEdwmEeZjCJ"
+    "O7yDO9BDObQDPLyDPIQDO8zwFHZgB3toBzdoh3JoBzeAh3CQh3BgB3YoB3b4BXZ4h3eAh18Ih3EYh3KYh3mYgSzu8A7u4A71wA7sMANiyKEc5KEc"
+    "zKEc5KEc3GEcyiEcxIEdymEG1pBDOchDOZhDOchDObjDOJRDOIgDO5TDL7yDPPyCO9QDO7DDDMdph3BYh3Jwg3RoB3hgh3QYh3SghxnOUw/uAA/y"
+    "UA7kkA7jQA/hIA7sUA4zICgd3MEewkEe0iEc3IEe3OAc5OEd6gEeZhhROLBDOpyDO8xQJHZgB3toBzdgh3d4B3iYUUz0kA/wUA4zHmoeymEc6CEd"
+    "3sEdfgEe5KEczCEd8GEGVIWDOMzDO7BDPdBDOfzCPORDO4jDO7DDjMUKh3mYh3cYh3QIB3ooB3KYgVzjEA7swA7lUA7zMCPB0kEe5OEX2OEd3gEe"
+    "ZkgZO7CDPbSDG4TDOIxDOczDPLjBOcjDO9QDPMxItHEIB3ZgB3EIh3FYhxnbxg7sYA/t4AbwIA/lMA/lIA/2UA5uEA7jMA7lMA/z4Abp4A7kUA74"
+    "MCPi7GEcwoEd2OEX7CEd5iEdxCEd2CEd6CEfZiCdO7xDPbgDOZSDOcxYvHBwB3d4B3oIB3pIh3dwBwAAqRgAACEAAAALCnIoh3eAB3pYcJhDPbjD"
+    "OLBDOdDDguYcxqEN6EEewsEd5iEd6CEd3sEdFjTjYA7nUA/hIA/kQA/hIA/nUA70sICBB3koh3BgB3Z4h3EIB3ooB3JYcJzDOLQBO6SDPZTDAmsc"
+    "2CEc3OEc3CAc5GEc3CAc6IEewmEc0KEcyGEcwoEd2AHREAAABgAAAAfMPKSDO5wDO5QDPaCDPJRDOJDDAQAAAGEgAAALAAAAEwQBBTFGDAoABMGg"
+    "KIJhA2IIBkDDgQAAAwAAAEYQPFYQXGYQYAAAAAAAAABhIAAAHgAAABMEQSwQAAAAAgAAAOQjACVQBGUAlBzJoJUCLmMIwTFsQDDBAIwhCMewAcEE"
+    "AzCGMBzDBgQTDMAYAnEMGxBMMAAaDgQACwAAAOYQPFYQAGYQBHYQCIYQDEYgAJM9BJVBCBVtEUJVm4RQ2TYhVLc1BA0AAAAAAAAAAGEgAAAgAAAA"
+    "EwRBLBAAAAADAAAA5CMAJVAEZUA8AwAApBzJoJWWGHMMRIAQE2OOQQgSamLMMQiBQk6MOQYhWIYNiCQoAA0HAg4AAABWEABmEAR2EAiGEAwWIVS0"
+    "TQhVbRDCRZuEcNVGIVy2VQiVbRbCdZtD0NiFUN32EDxGIAATAAAAAAAAAABxIAAABAAAADIOECKEALYCKDAsgAPjAgAAAAAAZQwAADEAAAASA5R4"
+    "AQAAAAMAAABHAAAABgAAAEwAAAABAAAAWAAAAAAAAABYAAAABAAAALgAAAAAAAAATQAAABMAAABgAAAACAAAABoAAAAAAAAAuAAAAAAAAAAAAAAA"
+    "BAAAAAAAAAAAAAAAGgAAAAAAAAAaAAAA/////xAkAAAaAAAAGgAAABoAAAAaAAAA/////wgsAAA0AAAACQAAADQAAAAJAAAA/////xAkAAA9AAAA"
+    "CgAAAD0AAAAKAAAA/////xAkAAAAAAAAXQwAAB0AAAASA5ToAAAAAGxsdm1fbnZ2bV9leDJfYXBwcm94X2Z0el9mbGx2bS5udnZtLmV4Mi5hcHBy"
+    "b3guZnR6LmZsb2FkX3F1YWRzdG9yZV9xdWFkMTQuMC42bnZwdHg2NC1udmlkaWEtY3VkYTxzdHJpbmc+AAAAAA=="
 )
 
 
 class Instructions:
-    """Instructions of CUDA that Taichi has no functions for: for kernels, each replaces a local float by its result."""
+    """Instructions of CUDA that Taichi has no functions for: for kernels, which pass local variables alone.
+
+    exp2(x)                       replaces x by 2^x, by a unit of its own: 2 ulp
+    load_quad(at, a, b, c, d)     reads four floats at address `at`, a multiple of 16, in one access
+    store_quad(at, a, b, c, d)    writes them
+    """
 
     @cached_property
-    def exp2(self) -> Callable:
-        """2^x, by a unit of its own: 2 ulp."""
+    def _library(self):
         from taichi.lang.source_builder import SourceBuilder
 
-        return SourceBuilder.from_file(str(exp2_file())).llvm_nvvm_ex2_approx_ftz_f
+        return SourceBuilder.from_file(str(bitcode_file()))
+
+    exp2 = property(lambda self: self._library.llvm_nvvm_ex2_approx_ftz_f)
+    load_quad = property(lambda self: self._library.load_quad)
+    store_quad = property(lambda self: self._library.store_quad)
 
 
 CUDA = Instructions()
 
 
-def exp2_file() -> Path:
-    """The file of EXP2_BITCODE, which Taichi links to kernels. The cache knows them by its path, too: it is always the
+def bitcode_file() -> Path:
+    """The file of BITCODE, which Taichi links to kernels. The cache knows them by its path, too: it is always the
     same."""
-    path = temporary_folder() / "exp2.bc"
+    path = temporary_folder() / "instructions.bc"
     beside = path.with_suffix(f".{os.getpid()}")
-    beside.write_bytes(EXP2_BITCODE)
+    beside.write_bytes(BITCODE)
     return beside.replace(path)
 
 

@@ -2,11 +2,11 @@
 
 import taichi as ti
 
-from core.fields import FieldGroup
+from core.fields import FieldGroup, load_quad
 from core.lanes import lane_count, sums_before
 from render.footprint import masked_tile, tile_box, touched_cells
 from render.prefix_sum import PrefixSum
-from render.projection import Projection
+from render.projection import DEPTH_BITS, MANY, Projection
 from render.radix_sort import RadixSort, item_of, key_of, value_of
 
 # [bits] of a tile's number, at least, so that pictures of common sizes share the capacity and the kernels; by backend:
@@ -25,7 +25,7 @@ class DepthOrder:
     def __init__(self, projection: Projection):
         self.projection = projection
         capacity = projection.splats.capacity
-        self.sorter = RadixSort(capacity, drop=True)
+        self.sorter = RadixSort(capacity, bits=DEPTH_BITS, drop=True)
         self.scan = PrefixSum(capacity)
         self.pairs = self.scan.total
         self.fields = f = FieldGroup()
@@ -46,10 +46,12 @@ class DepthOrder:
     @ti.func
     def number(self, k: ti.i32) -> ti.i32:
         """Number of the pairs of the k-th Gaussian from the front."""
-        touched = 0
-        for v in range(self.projection.views):
-            touched += self.projection.tile_count(v, self.gaussian(k))
-        return touched
+        pairs = ti.cast(key_of(self.sorter.sorted_items[k]) >> ti.u32(DEPTH_BITS), ti.i32)
+        if pairs == MANY or ti.static(self.projection.compares):
+            pairs = 0
+            for v in range(self.projection.views):
+                pairs += self.projection.tile_count(v, self.gaussian(k))
+        return pairs
 
     @ti.func
     def count_pairs(self):
@@ -76,7 +78,8 @@ class TileBins:
         self.lanes = lane_count()
         self.fields = f = FieldGroup()
         with f.interleaved(self.tile_capacity):
-            self.begin, self.end = (f.scalar(self.tile_capacity, dtype=ti.i32) for _ in range(2))
+            self.begin, self.end, self.turn = (f.scalar(self.tile_capacity, dtype=ti.i32) for _ in range(3))
+        self.full, self.others = f.scalar(dtype=ti.i32), f.scalar(dtype=ti.i32)
         splats = self.projection.views * self.projection.splats.capacity
         self.large = f.scalar(splats, dtype=ti.i32)  # numbers of large splats, see `_splat`
         self.large_count = f.scalar(dtype=ti.i32)
@@ -105,12 +108,14 @@ class TileBins:
         A splat that exceeds a tile mask waits for the second loop, where lanes share it: a capture has thousands behind
         each other that cover much of the picture.
         """
-        self.large_count[None] = 0
+        self.large_count[None], self.full[None], self.others[None] = 0, 0, 0
         self.sorter.count[None] = 0
         if self.order.pairs[None] <= self.capacity:
             self.sorter.count[None] = self.order.pairs[None]
         for i in range(self.projection.views * ti.max(self.order.sorter.kept[None], self.tiles_per_view())):
             if i < self.projection.views * self.tiles_per_view():
+                if ti.static(self.on_gpu):
+                    self._take_turn(i)
                 self.begin[i], self.end[i] = 0, 0
             if i < self.projection.views * self.order.sorter.kept[None] and self.sorter.count[None] > 0:
                 v, g, pair = self._splat(i)
@@ -121,6 +126,15 @@ class TileBins:
         for i in range(self.large_count[None] * self.lanes):
             v, g, pair = self._splat(self.large[i // self.lanes])
             self._emit_large(v, g, pair, i % self.lanes)
+
+    @ti.func
+    def _take_turn(self, tile: ti.i32):
+        """Let a tile be drawn early if it had many members in the last picture: or all would wait for it in the end."""
+        tiles = self.projection.views * self.tiles_per_view()
+        if self.end[tile] - self.begin[tile] > self.order.pairs[None] / tiles:
+            self.turn[ti.atomic_add(self.full[None], 1)] = tile
+        else:
+            self.turn[tiles - 1 - ti.atomic_add(self.others[None], 1)] = tile
 
     @ti.func
     def find_ranges(self):
@@ -163,8 +177,8 @@ class TileBins:
     def _emit_masked(self, v: ti.i32, g: ti.i32, pair: ti.i32):
         """Write the pairs of a splat from `pair` on."""
         p = self.projection
-        mask, mean2d, conic, box = p.tile_mask[v, g], p.mean2d[v, g], p.conic[v, g], p.box[v, g]
-        bits = mask[1]
+        mean2d, conic, box = load_quad(p.mean2d, v, g), load_quad(p.conic, v, g), load_quad(p.box, v, g)
+        mask, bits = p.tile_mask[v, g], p.tile_mask[v, g][1]
         while bits > 0:
             row, column = masked_tile(mask[0], bits)
             pair = self._write(pair, v, g, row, column, mean2d, conic, box)
@@ -174,7 +188,7 @@ class TileBins:
     def _emit_large(self, v: ti.i32, g: ti.i32, pair: ti.i32, lane: ti.i32):
         """Write the pairs of a splat without a tile mask; each lane has every so many rows."""
         p = self.projection
-        mean2d, conic, box = p.mean2d[v, g], p.conic[v, g], p.box[v, g]
+        mean2d, conic, box = load_quad(p.mean2d, v, g), load_quad(p.conic, v, g), load_quad(p.box, v, g)
         left, right, top, bottom = tile_box(mean2d, box, p.tile, p.grid)
         for step in range((bottom - top + self.lanes - 1) // self.lanes):
             row, column, last = top + step * self.lanes + lane, 0, 0

@@ -11,6 +11,7 @@ import math
 
 import taichi as ti
 
+from core.fields import load_quad
 from core.lanes import WARP, dealt, rank_lanes, sync_lanes, vote
 from core.runtime import CUDA, QUADRANTS
 from render.binning import CELLS_AT, TileBins
@@ -18,12 +19,11 @@ from render.footprint import ACROSS, CELL, CUTOFF_BITS, DOWN
 from render.radix_sort import key_of, value_of
 
 ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weights stay finite
-MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before its transmittance would fall to this
+MIN_TRANSMITTANCE = 1e-4  # a pixel is finished where its transmittance would fall to this
 # CUDA's 2^x is 0 below the least normal float. Alphas are computed as multiples of 1 / SCALE, so that this least one is
 # 1/255, where a splat ends: without comparisons, a tenth of the instructions.
 SCALE = 2.0**126 / 255
 LOG_SCALE, LN2 = math.log2(SCALE), math.log(2.0)
-FINISHED = 2.0 * SCALE  # no transmittance is more
 CPU_TILE = 8  # [px] a row of a tile is one vector register of floats
 CHECK_INTERVAL = 16  # splats between two tests, on the CPU, of whether all pixels are finished
 GPU_TILE = (32, 16)  # [px]
@@ -107,7 +107,8 @@ def load_member(drawer: ti.template(), shared: ti.template(), v, i, j, exists):
     if exists != 0:
         item = drawer.bins.members[i]
         g, touches = value_of(item), key_of(item) >> ti.u32(CELLS_AT)
-        words = drawer.words(v, g, drawer.projection.mean2d[v, g], drawer.projection.conic[v, g])
+        mean2d, conic = load_quad(drawer.projection.mean2d, v, g), load_quad(drawer.projection.conic, v, g)
+        words = drawer.words(v, g, mean2d, conic)
         for k in ti.static(range(10)):
             shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4] = words[k]
         if ti.static(drawer.keeps_index):
@@ -155,11 +156,7 @@ class Blend:
 
     @ti.func
     def _draw_cpu(self, sink: ti.template(), out: ti.template()):
-        """One tile per loop iteration; the states of its pixels are arrays that stay in the first-level cache.
-
-        A finished pixel keeps its transmittance negated: no product of it can pass the test against
-        MIN_TRANSMITTANCE again, and the loop over a row needs no branch.
-        """
+        """One tile per loop iteration; the states of its pixels are arrays that stay in the first-level cache."""
         blocks = self.projection.views * self.bins.tiles_per_view() * self.segments
         for k in range(blocks):
             block = dealt(k, blocks)
@@ -187,11 +184,7 @@ class Blend:
                         alpha = exp2(power)
                         alpha = ti.select(alpha < ALPHA_MAX, alpha, ALPHA_MAX)
                         alpha = ti.select(power < -CUTOFF_BITS, 0.0, alpha)
-                        before = T[q]
-                        after = before * (1.0 - alpha)
-                        visible = after > MIN_TRANSMITTANCE
-                        weight = ti.select(visible, alpha * before, 0.0)
-                        T[q] = ti.select(visible, after, -ti.abs(before))
+                        weight, T[q] = blended(T[q], alpha, 1.0)
                         if ti.static(self.with_color):
                             red[q] += weight * color.r
                             green[q] += weight * color.g
@@ -219,20 +212,19 @@ class Blend:
         ti.loop_config(block_dim=TILE_THREADS)
         for thread in range(self.projection.views * self.bins.tiles_per_view() * self.segments * TILE_THREADS):
             block, cell, lane = thread // TILE_THREADS, thread % TILE_THREADS // WARP, thread % WARP
-            tile, s = block // self.segments, block % self.segments
+            tile, s = self.bins.turn[block // self.segments], block % self.segments
             v, x0, y0 = self.projection.place_of(tile, self.projection.tile)
             left, top = pixel_of(x0, y0, cell, 0, height)
             x, y = pixel_of(x0, y0, cell, lane, height)
             shared = ti.simt.block.SharedArray((PLACE * TILE_THREADS,), ti.f32)
             T, depth = ti.Vector([SCALE] * pixels), ti.Vector([0.0] * pixels)  # T, times SCALE
             red, green, blue = ti.Vector([0.0] * pixels), ti.Vector([0.0] * pixels), ti.Vector([0.0] * pixels)
-            least = ti.Vector([SCALE * MIN_TRANSMITTANCE] * pixels)  # that a splat must leave; FINISHED behind the last
             for p in ti.static(range(pixels)):
                 if not self.projection.inside(x, y + p * ROW_STEP):
-                    least[p] = FINISHED
+                    T[p] = -SCALE
             begin, end = self._segment(tile, s)
             for group in range((end - begin + WARP - 1) // WARP):
-                if vote(least.min() < FINISHED, WARP) == ti.u32(0):
+                if vote(T.max() > SCALE * MIN_TRANSMITTANCE, WARP) == ti.u32(0):
                     break
                 i, item, touches = begin + group * WARP + lane, ti.cast(0, ti.i64), 0
                 if i < end:
@@ -242,7 +234,7 @@ class Blend:
                 if touches != 0:
                     words = self._words(v, value_of(item), left, top)
                     for k in ti.static(range(10)):
-                        shared[PLACE * (cell * WARP + place) + k] = words[k]
+                        shared[PLACE * ((cell * WARP + place) & (TILE_THREADS - 1)) + k] = words[k]
                 sync_lanes(WARP)
                 for k in range(count):
                     splat = ti.Vector([0.0] * 10)
@@ -253,11 +245,8 @@ class Blend:
                     base = splat[2] - along * along
                     for p in ti.static(range(pixels)):  # without branches: most splats of a cell touch some pixel
                         u = across + p * ROW_STEP * splat[4]
-                        weight = T[p] * ti.min(ALPHA_MAX / SCALE, exp2(base - u * u))
-                        remains = T[p] - SCALE * weight > least[p]
-                        weight = ti.select(remains, weight, 0.0)
-                        least[p] = ti.select(remains, least[p], FINISHED)
-                        T[p] -= SCALE * weight
+                        alpha = ti.min(ALPHA_MAX / SCALE, exp2(base - u * u))
+                        weight, T[p] = blended(T[p], alpha, SCALE)
                         if ti.static(self.with_depth):
                             depth[p] += weight * splat[9]
                         if ti.static(self.with_color):
@@ -268,7 +257,8 @@ class Blend:
             for p in ti.static(range(pixels)):
                 if self.projection.inside(x, y + p * ROW_STEP):
                     rgb = ti.math.vec3(red[p], green[p], blue[p])
-                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - T[p] / SCALE)
+                    alpha = 1.0 - ti.abs(T[p]) / SCALE
+                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], alpha)
 
     @ti.func
     def _words(self, v, g, left, top):
@@ -276,12 +266,24 @@ class Blend:
 
         q, q x, log2 (opacity / SCALE), s y + t x, s, t, r, g, b, z
         """
-        mean2d, color = self.projection.mean2d[v, g], ti.math.vec3(0.0)
+        mean2d, color = load_quad(self.projection.mean2d, v, g), ti.math.vec3(0.0)
         if ti.static(self.with_color):
             color = splat_color(self, v, g)
-        q, s, t = factors(self.projection.conic[v, g])
+        q, s, t = factors(load_quad(self.projection.conic, v, g))
         x, y = mean2d.x - left, mean2d.y - top
         return ti.Vector([q, q * x, mean2d.z - LOG_SCALE, s * y + t * x, s, t, color[0], color[1], color[2], mean2d.w])
+
+
+@ti.func
+def blended(before, alpha, scale: ti.template()):
+    """Weight of a splat in a pixel, and the pixel's transmittance behind it; both transmittances times `scale`.
+
+    A finished pixel keeps its transmittance negated: no product of it passes the test again, and there is no branch.
+    """
+    weight = before * alpha
+    after = before - scale * weight
+    visible = after > scale * MIN_TRANSMITTANCE
+    return ti.select(visible, weight, 0.0), ti.select(visible, after, -ti.abs(before))
 
 
 @ti.func
@@ -301,7 +303,7 @@ def unfinished_rows(T: ti.template()):
     for row in range(CPU_TILE):
         alive = 0
         for column in range(CPU_TILE):
-            alive += ti.cast(T[row * CPU_TILE + column] > 0, ti.i32)
+            alive += ti.cast(T[row * CPU_TILE + column] > MIN_TRANSMITTANCE, ti.i32)
         if alive > 0:
             top, bottom = ti.min(top, row), row
     return top, bottom
@@ -314,7 +316,7 @@ def splat_color(drawer: ti.template(), v, g) -> ti.math.vec3:
     if ti.static(drawer.other_color):
         value = drawer.color[g]
     else:
-        value = drawer.projection.color[v, g].xyz
+        value = load_quad(drawer.projection.color, v, g).xyz
     return value
 
 

@@ -19,6 +19,7 @@ from render.blend import (
     QUAD,
     ROW_STEP,
     TILE_THREADS,
+    blended,
     covered_rows,
     exp2,
     factors,
@@ -185,17 +186,14 @@ class BlendGradients:
                     exact = ti.select(power < -CUTOFF_BITS, 0.0, exp2(power))
                     alpha = ti.min(exact, ALPHA_MAX)
                     before = T[q]
-                    after = before * (1.0 - alpha)
-                    visible = after > MIN_TRANSMITTANCE
-                    weight = ti.select(visible, alpha * before, 0.0)
-                    T[q] = ti.select(visible, after, -ti.abs(before))
+                    weight, T[q] = blended(before, alpha, 1.0)
                     if ti.static(self.with_geometry):
                         value = (
                             red[q] * color.r + green[q] * color.g + blue[q] * color.b + depth[q] * mean2d.w + opaque[q]
                         )
                         behind[q] -= weight * value
                         d_alpha = before * value - behind[q] / (1.0 - alpha)
-                        p = ti.select(visible and exact < ALPHA_MAX, LN2 * alpha * d_alpha, 0.0)
+                        p = ti.select(T[q] > 0.0 and exact < ALPHA_MAX, LN2 * alpha * d_alpha, 0.0)
                         add_moments(sums, p, dx, dy)
                         sums[6] += weight * depth[q]
                     sums[7] += weight * red[q]
@@ -260,11 +258,7 @@ class BlendGradients:
                             exact = ti.select(power < -CUTOFF_BITS, 0.0, exp2(power))
                             alpha = ti.min(ALPHA_MAX, exact)
                             before = T[p]
-                            weight = alpha * before
-                            after = before - weight
-                            visible = after > MIN_TRANSMITTANCE
-                            weight = ti.select(visible, weight, 0.0)
-                            T[p] = ti.select(visible, after, -ti.abs(before))
+                            weight, T[p] = blended(before, alpha, 1.0)
                             value = red[p] * splat[6] + green[p] * splat[7] + blue[p] * splat[8]
                             if ti.static(self.has_background):
                                 value += opaque[p]
@@ -273,7 +267,7 @@ class BlendGradients:
                                 sums[6] += weight * depth[p]
                             behind[p] -= weight * value
                             d_alpha = before * value - behind[p] / (1.0 - alpha)
-                            q = ti.select(visible & (exact < ALPHA_MAX), LN2 * alpha * d_alpha, 0.0)
+                            q = ti.select((T[p] > 0.0) & (exact < ALPHA_MAX), LN2 * alpha * d_alpha, 0.0)
                             touched |= ti.cast(weight > 0.0, ti.i32)
                             add_moments(sums, q, dx, dy)
                             sums[7] += weight * red[p]

@@ -51,6 +51,12 @@ def tile_mask_of(mean2d: vec4, conic: vec4, box: vec4, tile: ti.template(), grid
 
 
 @ti.func
+def tiles_in(mask) -> ti.i32:
+    """Number of tiles of a tile mask."""
+    return -mask[1] if mask[1] < 0 else ti.cast(ti.math.popcnt(mask[1]), ti.i32)
+
+
+@ti.func
 def masked_tile(corner: ti.i32, bits: ti.i32):
     """Row and column of the tile of the lowest bit of a tile mask."""
     lowest = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)

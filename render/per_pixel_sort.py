@@ -19,6 +19,7 @@ from render.blend import (
     GPU_TILE,
     MIN_TRANSMITTANCE,
     QUAD,
+    blended,
     exp2,
     fetched,
     load_batch,
@@ -96,11 +97,7 @@ class PerPixelSort:
                         alpha = ti.select(power < -CUTOFF_BITS, 0.0, alpha)
                         inv_depth = ti.select(power < -CUTOFF_BITS, missing, center + slope * dx)
                         front_alpha, front_index[q] = entered(inv_depths, alphas, indices, q, inv_depth, alpha, g)
-                        before = T[q]  # blend what has left
-                        after = before * (1.0 - front_alpha)
-                        visible = after > MIN_TRANSMITTANCE
-                        weight[q] = ti.select(visible, front_alpha * before, 0.0)
-                        T[q] = ti.select(visible, after, -ti.abs(before))
+                        weight[q], T[q] = blended(T[q], front_alpha, 1.0)  # what has left
                     for q in range(CPU_TILE):
                         if ti.static(self.with_color):
                             color = splat_color(self, v, front_index[q])

@@ -6,7 +6,7 @@ import numpy as np
 import taichi as ti
 
 from core.camera import Camera
-from core.fields import FieldGroup
+from core.fields import FieldGroup, load_quad, store_quad
 from core.lanes import dealt
 from render import SORTS
 from render.footprint import (
@@ -21,6 +21,7 @@ from render.footprint import (
     tile_box,
     tile_columns,
     tile_mask_of,
+    tiles_in,
 )
 from render.radix_sort import DROPPED, item_of, key_of, value_of
 from render.splats import Splats, color_of
@@ -28,6 +29,9 @@ from render.splats import Splats, color_of
 NEAR_PLANE = 0.01  # [m] of camera z
 DILATION = 0.3  # [px^2] added to the variance: a splat is never thinner than a pixel's filter
 GUARD_BAND = 0.3  # the Jacobian's x/z is held within the picture plus this fraction of tan(fov / 2)
+# A Gaussian's sort key: its depth in three digits of the sort, and above them the number of its pairs, MANY or more.
+DEPTH_BITS, MANY = 24, 255
+MAX_DEPTH, KEY_STEP = 2e6, 11  # [m]; [floats] of one key: the 22 * 2^23 floats up to MAX_DEPTH have keys
 MAX_COLOR, MAX_VARIANCE = 1e6, 1e15  # a colour, a variance [px^2] beyond is broken, and is not drawn
 MAX_CUTOFF = 2 * math.log(255) + 0.01  # [sigma^2] at which an opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
@@ -154,7 +158,7 @@ class Projection:
     def _project(self, g: ti.i32):
         """Write the splats of Gaussian g but for their colour; its sort key, and its colour in full light."""
         mean, opacity = self.splats.mean[g], self.splats.opacity[g]
-        depth, seen, c = ti.f64(0.0), 0, vec3(0.0)
+        depth, seen, pairs, c = ti.f64(0.0), 0, 0, vec3(0.0)
         for v in range(self.views):
             p = self._to_camera(v, mean)
             depth += p.norm() if ti.static(self.radial) else p.z
@@ -165,6 +169,7 @@ class Projection:
                 self._add_changed(v, self.mean2d[v, g], self.box[v, g])
             self.tile_mask[v, g] = mask
             seen |= mask[1]
+            pairs += tiles_in(mask)
         key = ti.u32(DROPPED)
         if ti.static(self.with_color):  # noqa: SIM102, the outer one is resolved at compile time
             if seen != 0:
@@ -175,18 +180,20 @@ class Projection:
                         self.tile_mask[v, g] = ti.Vector([0, 0])
                 c = ti.max(0.0, c)
         if seen != 0:
-            key = ordered_bits(ti.cast(depth / self.views, ti.f32))
+            key = ti.cast(ti.min(pairs, MANY), ti.u32) << ti.u32(DEPTH_BITS)
+            key |= depth_key(ti.cast(depth / self.views, ti.f32))
         return key, c
 
     @ti.func
     def _set_color(self, v: ti.i32, g: ti.i32, c: vec3):
         """Write the colour of splat `g` of view `v`, which has been projected."""
-        new = vec4(c, self.color[v, g][3])
+        new = vec4(c, 0.0)
+        if ti.static(self.with_slope):
+            new[3] = self.color[v, g][3]
         if ti.static(self.compares):  # noqa: SIM102, the outer one is resolved at compile time
             if self.tile_mask[v, g][1] != 0 and differ(new, self.color[v, g]):
                 self._add_changed(v, self.mean2d[v, g], self.box[v, g])
-        for k in ti.static(range(3)):
-            self.color[v, g][k] = c[k]
+        store_quad(self.color, v, g, new)
 
     @ti.func
     def _add_changed(self, v: ti.i32, mean2d: vec4, box: vec4):
@@ -197,7 +204,7 @@ class Projection:
     def tile_count(self, v: ti.i32, g: ti.i32) -> ti.i32:
         """Number of tiles of view `v` that splat `g` touches, of those that are drawn."""
         corner, bits = self.tile_mask[v, g][0], self.tile_mask[v, g][1]
-        count = -bits if bits < 0 else ti.cast(ti.math.popcnt(bits), ti.i32)
+        count = tiles_in(self.tile_mask[v, g])
         if ti.static(self.compares):
             if bits != 0 and not self.changed.everywhere():
                 count = 0
@@ -216,7 +223,8 @@ class Projection:
     @ti.func
     def columns_in(self, v: ti.i32, g: ti.i32, row: ti.i32, left: ti.i32, right: ti.i32):
         """Columns [first, last) of tiles in a row that splat `g` of view `v` touches; left, right of its `tile_box`."""
-        return tile_columns(row, left, right, self.mean2d[v, g], self.conic[v, g], self.box[v, g], self.tile)
+        mean2d, conic = load_quad(self.mean2d, v, g), load_quad(self.conic, v, g)
+        return tile_columns(row, left, right, mean2d, conic, load_quad(self.box, v, g), self.tile)
 
     @ti.func
     def inside(self, x: ti.i32, y: ti.i32):
@@ -317,7 +325,9 @@ class Projection:
                         elif differ(mean2d, self.mean2d[v, g]) or differ(conic, self.conic[v, g]):
                             self._add_changed(v, self.mean2d[v, g], self.box[v, g])
                             self._add_changed(v, mean2d, box)
-                    self.mean2d[v, g], self.conic[v, g], self.box[v, g] = mean2d, conic, box
+                    store_quad(self.mean2d, v, g, mean2d)
+                    store_quad(self.conic, v, g, conic)
+                    store_quad(self.box, v, g, box)
                     mask = tile_mask_of(mean2d, conic, box, self.tile, self.grid)
         return mask
 
@@ -359,10 +369,8 @@ def is_covariance(s: ti.template()):
 
 
 @ti.func
-def ordered_bits(x: ti.f32) -> ti.u32:
-    """Bits of x, mapped so that they compare as unsigned integers as the floats do."""
-    bits = ti.bit_cast(x, ti.u32)
-    flip = ti.u32(0x80000000)
-    if x < 0:
-        flip = ti.u32(0xFFFFFFFF)
-    return bits ^ flip
+def depth_key(x: ti.f32) -> ti.u32:
+    """DEPTH_BITS bits that compare as depths x [m] do, from -0.5, since an eye may see what lies behind the other, to
+    MAX_DEPTH; in steps of 1e-6 of 1 + x."""
+    bits = ti.bit_cast(1.0 + clamp(x, -0.5, MAX_DEPTH), ti.u32)
+    return (bits - ti.bit_cast(0.5, ti.u32)) // ti.u32(KEY_STEP)

@@ -1,10 +1,11 @@
 """Fields that are freed while kernels stay compiled."""
 
+import numpy as np
 import pytest
 import taichi as ti
 from taichi.lang import impl
 
-from core.fields import FieldGroup, destroy_fields
+from core.fields import FieldGroup, destroy_fields, load_quad, store_quad
 from core.runtime import keep_compiled_kernels
 
 
@@ -65,3 +66,21 @@ def test_too_many_fields_are_an_error_and_those_that_are_freed_do_not_count(ti_c
     groups[2].build()
     groups[1].destroy()
     groups[2].destroy()
+
+
+def test_quads_are_the_elements_of_their_fields(ti_cpu):
+    group = FieldGroup()
+    with group.interleaved(2, 3):
+        a, b = group.vector(2, 3, n=4), group.vector(2, 3, n=4)
+    group.build()
+
+    @ti.kernel
+    def fill():
+        for v, g in b:
+            a[v, g] = ti.math.vec4(1, 2, 3, 10 * v + g)
+            store_quad(b, v, g, 2 * load_quad(a, v, g))
+
+    fill()
+    np.testing.assert_array_equal(b.to_numpy(), 2 * a.to_numpy())
+    np.testing.assert_array_equal(a.to_numpy()[1, 2], [1, 2, 3, 12])
+    group.destroy()

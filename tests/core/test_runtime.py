@@ -13,9 +13,9 @@ import pytest
 import taichi as ti
 
 from core.runtime import (
+    BITCODE,
     CACHE_PLACE,
     ENTRY,
-    EXP2_BITCODE,
     HEADER_SIZE,
     INDEX,
     KEY_SIZE,
@@ -24,7 +24,7 @@ from core.runtime import (
     QUADRANTS,
     Graph,
     KernelMethod,
-    exp2_file,
+    bitcode_file,
     interrupts_held,
     is_sound_index,
     launch,
@@ -145,10 +145,10 @@ def test_integers_reach_a_launched_kernel_of_their_object(ti_cpu):
 def test_bitcode_is_written_anew_to_the_same_place(tmp_path, monkeypatch):
     """Whatever another program has left there."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    path = exp2_file()
-    assert path.read_bytes() == EXP2_BITCODE and EXP2_BITCODE.startswith(b"BC\xc0\xde")
-    path.write_bytes(EXP2_BITCODE[:99])
-    assert exp2_file() == path and path.read_bytes() == EXP2_BITCODE
+    path = bitcode_file()
+    assert path.read_bytes() == BITCODE and BITCODE.startswith(b"BC\xc0\xde")
+    path.write_bytes(BITCODE[:99])
+    assert bitcode_file() == path and path.read_bytes() == BITCODE
     assert list(path.parent.iterdir()) == [path]
 
 

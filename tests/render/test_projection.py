@@ -127,18 +127,19 @@ def test_colors_equal_the_twin(ti_cpu, degree):
     np.testing.assert_allclose(np.maximum(found, 0.0), reference.colors(g, CAMERA), atol=2e-5)
 
 
-def test_depth_keys_compare_like_floats(ti_cpu):
-    """Also below zero: an eye may see what lies behind the other."""
+def test_depth_keys_compare_like_depths(ti_cpu):
+    """Also below zero: an eye may see what lies behind the other; and they leave room for the number of pairs."""
     ti = ti_cpu
-    from render.projection import ordered_bits
+    from render.projection import DEPTH_BITS, depth_key
 
-    values = np.sort(np.random.default_rng(0).normal(0, 10, 1000).astype(np.float32))
-    keys = np.zeros(1000, np.uint32)
+    values = np.geomspace(0.5, 1.9e6, 2000) - 1
+    values = np.r_[-9, np.sort(np.r_[values, values + 2e-6 * (1 + values)]), 3e6].astype(np.float32)
+    keys = np.zeros(len(values), np.uint32)
 
     @ti.kernel
     def fill(values: ti.types.ndarray(ti.f32, ndim=1), keys: ti.types.ndarray(ti.u32, ndim=1)):
         for i in keys:
-            keys[i] = ordered_bits(values[i])
+            keys[i] = depth_key(values[i])
 
     fill(values, keys)
-    assert (np.diff(keys.astype(np.int64)) > 0).all()
+    assert (np.diff(keys[1:].astype(np.int64)) > 0).all() and keys[0] == 0 and keys[-1] < 1 << DEPTH_BITS

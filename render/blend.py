@@ -23,7 +23,7 @@ MIN_TRANSMITTANCE = 1e-4  # a pixel is finished where its transmittance would fa
 # CUDA's 2^x is 0 below the least normal float. Alphas are computed as multiples of 1 / SCALE, so that this least one is
 # 1/255, where a splat ends: without comparisons, a tenth of the instructions.
 SCALE = 2.0**126 / 255
-LOG_SCALE, LN2 = math.log2(SCALE), math.log(2.0)
+LOG_SCALE, LOG_ALPHA_MAX, LN2 = math.log2(SCALE), math.log2(ALPHA_MAX), math.log(2.0)
 CPU_TILE = 8  # [px] a row of a tile is one vector register of floats
 CHECK_INTERVAL = 16  # splats between two tests, on the CPU, of whether all pixels are finished
 GPU_TILE = (32, 16)  # [px]
@@ -124,12 +124,16 @@ class Blend:
     """Draws binned splats. `with_color` and `with_depth` select the sums to compute; the others stay 0.
 
     color     three numbers a Gaussian, vec3 (capacity,), to be blended in place of its colour
+    fast      a splat that finishes a pixel counts, too, which is nearer to the sum above; else a pixel stays as it was
+              before, as in gsplat and BlendGradients. An alpha is at most ALPHA_MAX by its splat's opacity
     segments  equal parts of each tile's splats that are drawn side by side, as pictures of their own: where a few tiles
               have most of the splats, all others would wait for them
     """
 
-    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool, color=None, segments: int = 1):
-        self.bins, self.projection, self.segments = bins, bins.projection, segments
+    def __init__(
+        self, bins: TileBins, *, with_color: bool, with_depth: bool, color=None, segments: int = 1, fast: bool = False
+    ):
+        self.bins, self.projection, self.segments, self.fast = bins, bins.projection, segments, fast
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth = with_color, with_depth
         self.on_gpu = ti.cfg.arch == ti.cuda
@@ -171,20 +175,23 @@ class Blend:
                 g = value_of(self.bins.members[i])
                 mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
                 color = splat_color(self, v, g)
-                A, B, C = conic[0], 2 * conic[1], conic[2]
+                A, B, C, top_power = conic[0], 2 * conic[1], conic[2], mean2d.z
+                if ti.static(self.fast):
+                    top_power = ti.min(top_power, LOG_ALPHA_MAX)
                 dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
                 first, last = covered_rows(dy0, self.projection.box[v, g][1], top, bottom)
                 for row in range(first, last + 1):
                     dy = dy0 + row
-                    base, tilt = mean2d.z - C * dy * dy, B * dy
+                    base, tilt = top_power - C * dy * dy, B * dy
                     for column in range(CPU_TILE):
                         q = (row & (CPU_TILE - 1)) * CPU_TILE + column  # the mask tells the compiler that q cannot wrap
                         dx = dx0 + column
                         power = base - dx * (A * dx + tilt)
                         alpha = exp2(power)
-                        alpha = ti.select(alpha < ALPHA_MAX, alpha, ALPHA_MAX)
+                        if ti.static(not self.fast):
+                            alpha = ti.select(alpha < ALPHA_MAX, alpha, ALPHA_MAX)
                         alpha = ti.select(power < -CUTOFF_BITS, 0.0, alpha)
-                        weight, T[q] = blended(T[q], alpha, 1.0)
+                        weight, T[q] = blended(T[q], alpha, 1.0, self.fast)
                         if ti.static(self.with_color):
                             red[q] += weight * color.r
                             green[q] += weight * color.g
@@ -245,8 +252,10 @@ class Blend:
                     base = splat[2] - along * along
                     for p in ti.static(range(pixels)):  # without branches: most splats of a cell touch some pixel
                         u = across + p * ROW_STEP * splat[4]
-                        alpha = ti.min(ALPHA_MAX / SCALE, exp2(base - u * u))
-                        weight, T[p] = blended(T[p], alpha, SCALE)
+                        alpha = exp2(base - u * u)
+                        if ti.static(not self.fast):
+                            alpha = ti.min(ALPHA_MAX / SCALE, alpha)
+                        weight, T[p] = blended(T[p], alpha, SCALE, self.fast)
                         if ti.static(self.with_depth):
                             depth[p] += weight * splat[9]
                         if ti.static(self.with_color):
@@ -271,19 +280,24 @@ class Blend:
             color = splat_color(self, v, g)
         q, s, t = factors(load_quad(self.projection.conic, v, g))
         x, y = mean2d.x - left, mean2d.y - top
+        if ti.static(self.fast):
+            mean2d.z = ti.min(mean2d.z, LOG_ALPHA_MAX)
         return ti.Vector([q, q * x, mean2d.z - LOG_SCALE, s * y + t * x, s, t, color[0], color[1], color[2], mean2d.w])
 
 
 @ti.func
-def blended(before, alpha, scale: ti.template()):
+def blended(before, alpha, scale: ti.template(), fast: ti.template()):
     """Weight of a splat in a pixel, and the pixel's transmittance behind it; both transmittances times `scale`.
 
     A finished pixel keeps its transmittance negated: no product of it passes the test again, and there is no branch.
     """
     weight = before * alpha
     after = before - scale * weight
-    visible = after > scale * MIN_TRANSMITTANCE
-    return ti.select(visible, weight, 0.0), ti.select(visible, after, -ti.abs(before))
+    if ti.static(not fast):
+        visible = after > scale * MIN_TRANSMITTANCE
+        weight = ti.select(visible, weight, 0.0)
+        after = ti.select(visible, after, -ti.abs(before))
+    return weight, after
 
 
 @ti.func

@@ -186,7 +186,7 @@ class BlendGradients:
                     exact = ti.select(power < -CUTOFF_BITS, 0.0, exp2(power))
                     alpha = ti.min(exact, ALPHA_MAX)
                     before = T[q]
-                    weight, T[q] = blended(before, alpha, 1.0)
+                    weight, T[q] = blended(before, alpha, 1.0, False)
                     if ti.static(self.with_geometry):
                         value = (
                             red[q] * color.r + green[q] * color.g + blue[q] * color.b + depth[q] * mean2d.w + opaque[q]
@@ -258,7 +258,7 @@ class BlendGradients:
                             exact = ti.select(power < -CUTOFF_BITS, 0.0, exp2(power))
                             alpha = ti.min(ALPHA_MAX, exact)
                             before = T[p]
-                            weight, T[p] = blended(before, alpha, 1.0)
+                            weight, T[p] = blended(before, alpha, 1.0, False)
                             value = red[p] * splat[6] + green[p] * splat[7] + blue[p] * splat[8]
                             if ti.static(self.has_background):
                                 value += opaque[p]

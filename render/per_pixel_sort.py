@@ -97,7 +97,7 @@ class PerPixelSort:
                         alpha = ti.select(power < -CUTOFF_BITS, 0.0, alpha)
                         inv_depth = ti.select(power < -CUTOFF_BITS, missing, center + slope * dx)
                         front_alpha, front_index[q] = entered(inv_depths, alphas, indices, q, inv_depth, alpha, g)
-                        weight[q], T[q] = blended(T[q], front_alpha, 1.0)  # what has left
+                        weight[q], T[q] = blended(T[q], front_alpha, 1.0, False)  # what has left
                     for q in range(CPU_TILE):
                         if ti.static(self.with_color):
                             color = splat_color(self, v, front_index[q])

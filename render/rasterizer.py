@@ -31,7 +31,7 @@ class Rasterizer:
     segments  see Blend; not with sort "pixel"
     keeps  tiles of which nothing has changed since the last draw keep their pixels, if `out` is the same: on a CPU,
            where blending takes most of the time
-    large_tiles  a picture of many pixels may have LARGE_GPU_TILEs, of which there are no gradients
+    fast  for pictures without gradients: those of many pixels may have LARGE_GPU_TILEs; see Blend
     """
 
     def __init__(
@@ -50,9 +50,9 @@ class Rasterizer:
         segments: int = 1,
         still: int = 0,
         keeps: bool = False,
-        large_tiles: bool = False,
+        fast: bool = False,
     ):
-        many = large_tiles and sort != "pixel" and segments * views * width * height >= MANY_PIXELS
+        many = fast and sort != "pixel" and segments * views * width * height >= MANY_PIXELS
         gpu_tile = LARGE_GPU_TILE if many else GPU_TILE
         tile = gpu_tile if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
         self.splats, self.sink = splats, sink
@@ -65,7 +65,7 @@ class Rasterizer:
         self._kept = 0  # Gaussians that are projected for the cameras and the size of now
         self.order = DepthOrder(self.projection)
         self._with_color, self._with_depth = color, depth
-        self._segments = segments
+        self._segments, self._fast = segments, fast
         self._buffer_size = buffer_size if sort == "pixel" else None
         self._cameras: list[list[int]] = []  # words of each, on the device or to be sent with the next draw
         self._unsent = False
@@ -137,7 +137,7 @@ class Rasterizer:
         bins = TileBins(self.order, capacity)
         color, depth = self._with_color, self._with_depth
         if self._buffer_size is None:
-            blend = Blend(bins, with_color=color, with_depth=depth, segments=self._segments)
+            blend = Blend(bins, with_color=color, with_depth=depth, segments=self._segments, fast=self._fast)
         else:
             blend = PerPixelSort(bins, with_color=color, with_depth=depth, buffer_size=self._buffer_size)
         return TilePass(blend, self.sink)

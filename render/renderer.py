@@ -127,7 +127,7 @@ class Renderer:
             buffer_size=buffer_size,
             still=still,
             keeps=outputs != "float",
-            large_tiles=outputs != "float",
+            fast=outputs != "float",
         )
 
     def resize(self, width: int, height: int) -> None:

@@ -103,7 +103,7 @@ class ShadowMap:
         self.map = DepthMap(resolution, segments or SEGMENTS[device])
         self.rasterizer = Rasterizer(
             splats, resolution, resolution,
-            views=1, sink=self.map, color=False, segments=self.map.segments, large_tiles=True,
+            views=1, sink=self.map, color=False, segments=self.map.segments, fast=True,
         )  # fmt: skip
         self.fields = f = FieldGroup()
         self.camera = f.vector(2, 4, n=4)  # of each layer, as Projection.camera

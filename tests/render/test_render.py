@@ -184,6 +184,21 @@ def test_tiles_in_which_nothing_changes_keep_their_pixels(ti_cpu, sort):
     assert compare() == 96 and compare() == 0
 
 
+def test_the_splat_that_finishes_a_pixel_counts_on_the_screen(ti_cpu):
+    """And the pixel shows nothing of a background of which 5e-5 is left; in float images it stops before, as gsplat."""
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    g = round_ones(((0.0, 0.0, 1.0), (0.0, 0.0, 1.2)), size=0.1, opacity=(0.95, 0.9995))
+    black = np.full((2, 1, 3), -0.5 / 0.28209479177387814)
+    g = Gaussians.of(g.means, g.quats, g.log_scales, g.logit_opacities, black)
+    for outputs, least, most in (("rgba8", 0, 0), ("float", 0.949, 0.951)):
+        renderer = Renderer(Splats(g), 9, 9, background=(1.0, 1.0, 1.0), outputs=outputs)
+        renderer.render([Camera(9, 9, 40.0, 40.0, 4.5, 4.5, np.eye(4))])
+        shown = renderer.alpha.to_numpy() if outputs == "float" else renderer.pixels()[..., 0]
+        assert least <= shown[0, 4, 4] <= most
+
+
 def test_the_picture_has_the_background_and_the_byte_order_it_promises(ti_cpu):
     from render.renderer import Renderer
     from render.splats import Splats

@@ -163,7 +163,7 @@ def test_static_things_shadow_what_moves_unless_they_are_the_lamp(stage):
 
 @pytest.mark.long
 def test_segments_make_the_map_that_all_splats_at_once_make(stage):
-    """But for what lies behind a finished texel: the splat that finishes it does not count (MIN_TRANSMITTANCE)."""
+    """But for what lies behind a finished texel, less than MIN_TRANSMITTANCE."""
     from render.shadow_map import ShadowMap
 
     splats, shadow = stage[2], stage[3]
@@ -174,8 +174,7 @@ def test_segments_make_the_map_that_all_splats_at_once_make(stage):
     whole.cast()
     expected = whole.map.texel.to_numpy()
     whole.destroy()
-    assert (got[..., 1] > expected[..., 1] - 1e-5).all()
-    np.testing.assert_allclose(got[..., 1], expected[..., 1], rtol=0, atol=0.02)
+    np.testing.assert_allclose(got[..., 1], expected[..., 1], rtol=0, atol=2e-4)
     covered = expected[..., 1] > 0.5
     assert covered[0].mean() > 0.1 and covered[1].mean() > 0.1
     behind = np.abs(got[..., 1] - expected[..., 1]) * 50.0 / expected[..., 1].clip(0.5)  # the roof is 50 m farther away

@@ -40,7 +40,7 @@ WEIGHT_SUM_TOLERANCE = 1e-3  # of the four weights of a corner, as float32 round
 VOLUME_TOLERANCE = 1e-3  # relative, between a cage's tets and its surface
 
 # Attributes of `material` that a file may lack, and what that stands for.
-OPTIONAL_MATERIAL = {"damping": Material.damping, "kinetic_friction": Material.kinetic_friction}
+OPTIONAL_MATERIAL = {name: getattr(Material, name) for name in ("damping", "kinetic_friction", "yield_strain")}
 
 
 @dataclass(frozen=True)

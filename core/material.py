@@ -1,4 +1,4 @@
-"""Elastic materials, and a table of them by name for bodies whose own is not known."""
+"""Elastic and plastic materials, and a table of them by name for bodies whose own is not known."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ANIMATED_YOUNG_MIN = 1e3  # [Pa] an animated body must still bear its weight
 
 @dataclass(frozen=True)
 class Material:
-    """An isotropic elastic material with Coulomb friction.
+    """An isotropic material with Coulomb friction, elastic up to its yield strain.
 
     young             Young's modulus [Pa]
     poisson           Poisson's ratio, below 0.5
@@ -29,6 +29,8 @@ class Material:
     damping           rate c [1/s] at which the energy of vibrations dies out, of fast ones faster (Rayleigh damping):
                       c + ret w^2 at w rad/s, ret = `retardation_time`; rigid motion is left alone
     kinetic_friction  coefficient of friction of what slides; None: the static one
+    yield_strain      logarithmic strain, of a pull or a pressure that keeps the volume, beyond which the body keeps its
+                      new shape (sim/elastic/plastic_flow.py); None: it always springs back
     """
 
     young: float
@@ -37,6 +39,7 @@ class Material:
     friction: float = 0.5
     damping: float = 2.0
     kinetic_friction: float | None = None
+    yield_strain: float | None = None
 
     @property
     def sliding_friction(self) -> float:
@@ -83,6 +86,8 @@ class Material:
             raise BadInput(f"{where}: the material's poisson must lie in 0..0.5 (0.5 excluded)")
         if self.damping < 0 or self.friction < 0:
             raise BadInput(f"{where}: the material's damping and friction must not be negative")
+        if self.yield_strain is not None and self.yield_strain <= 0:
+            raise BadInput(f"{where}: the material's yield_strain must be positive")
         if not 0 <= self.sliding_friction <= self.friction:
             raise BadInput(f"{where}: the material's kinetic_friction must lie between 0 and its friction")
 
@@ -107,4 +112,7 @@ MATERIALS = {
     # work; 1,060 kg/m^3. At 30 kPa a dancing man's own inertia crumples his joints, at 100 kPa they hold their shape.
     # That it keeps its volume keeps a joint's inner side from turning inside out.
     "flesh": Material(young=1e5, poisson=0.45, density=1060.0, friction=0.6, kinetic_friction=0.5),
+    # Modelling clay that hands can shape: it yields at some 15 kPa, and real ones at 10 to 100 kPa, after less strain.
+    # Stiffer, it would need more substeps and look the same.
+    "clay": Material(young=3e5, poisson=0.45, density=1700.0, friction=0.8, damping=10.0, yield_strain=0.05),
 }

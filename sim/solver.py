@@ -19,6 +19,7 @@ from sim.contact.static_shapes import Shape
 from sim.contacts import Contacts
 from sim.elastic.damping import Damping
 from sim.elastic.energy import Elasticity
+from sim.elastic.plastic_flow import INTERVAL, PlasticFlow, checked_rest_shapes
 from sim.elastic.vbd import VBDSubsteps
 from sim.elastic.vbd_persistent import PersistentVBD
 from sim.elastic.xpbd import PersistentXPBD, XPBDSubsteps
@@ -101,6 +102,7 @@ class Solver:
         self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
         self._sleeping = Sleeping(s, self._reductions, self.contacts if sleep else None, self.rigid_bodies)
         self.elasticity, self.damping = Elasticity(s), Damping(s, blocks, self.contacts and self.contacts.forces)
+        self.plastic_flow = PlasticFlow(s, self.elasticity)
         self.untangling = Untangling(s, self._reductions, self.damping)
         self.kinematic = KinematicTargets(s, self.rigid_bodies)
         self._recovery = NonFiniteRecovery(s)
@@ -121,7 +123,10 @@ class Solver:
         self._rigid_editing.end()
         if dt == 0.0 or not self._model.bodies:
             return
-        schedule = Schedule.of(dt / self._integration.substep, self.collision_passes, self.integrator.max_substeps)
+        most, substep = self.integrator.max_substeps, self._integration.substep
+        if self.plastic_flow.active:
+            most = min(most, max(1, math.floor(INTERVAL / substep + 1e-6)))
+        schedule = Schedule.of(dt / substep, self.collision_passes, most)
         if self._all_sleep(dt, hands, schedule.total_substeps):
             self._last_schedule = (0, 0.0)
             return
@@ -133,6 +138,7 @@ class Solver:
                 self.untangling.run(launch_dt)
                 self.damping.run(launch_dt)
                 self.integrator.run(schedule.substeps)  # each: predict, elasticity, contacts and hands, commit
+                self._let_flow()
         self._recovery.recover()
         self.kinematic.end_frame()
         self._sleeping.end_frame(dt)
@@ -153,6 +159,11 @@ class Solver:
         if self.untangling.begin_frame(self._grasped_bodies(), self.kinematic.bodies, dt):
             self._restart_contacts(self._grasps())
         self._reductions.forget()
+
+    def _let_flow(self) -> None:
+        if self.plastic_flow.active:
+            self.plastic_flow.run()
+            self.integrator.take_rest_shapes()
 
     def _find_contacts(self, dt: float) -> None:
         for c in self._constraints:
@@ -275,27 +286,28 @@ class Solver:
 
     def add_all(self, bodies: Sequence[SoftBody | RigidBody]) -> int:
         """Add bodies at their start, all or none; return the index of the first."""
-        models, motions, grasps = self._in_motion()
+        models, motions, rests, grasps = self._in_motion()
         first = len(models)
         for body in bodies:
             models.append(BodyModel.of(body, models))
-        self._change(models, [*motions, *(m.start for m in models[first:])], grasps)
+        starts = [m.start for m in models[first:]]
+        self._change(models, [*motions, *starts], [*rests, *(None for _ in starts)], grasps)
         return first
 
     def remove(self, i: int) -> None:
         """Remove body i; a hand that holds it opens, and the later bodies move up by one."""
-        models, motions, grasps = self._in_motion()
+        models, motions, rests, grasps = self._in_motion()
         i = body_index(i, models)
         new_index = [k - (k > i) if k != i else None for k in range(len(models))]
-        del models[i], motions[i]
-        self._change(models, motions, None if grasps is None else grasps.renumbered(new_index))
+        del models[i], motions[i], rests[i]
+        self._change(models, motions, rests, None if grasps is None else grasps.renumbered(new_index))
 
     def duplicate(self, i: int, offset) -> int:
         """Copy body i as it is deformed and moves now, at `offset` (3,) [m] from it; return the copy's index.
 
         The copy starts, if it is reset, with the rotation nearest to its shape.
         """
-        models, motions, grasps = self._in_motion()
+        models, motions, rests, grasps = self._in_motion()
         i = body_index(i, models)
         model, (x, v) = models[i], positions_and_velocities(motions[i])
         rest, center = model.shape.vertices, model.shape.center
@@ -304,7 +316,8 @@ class Solver:
         origin = c - R @ center
         position = origin + np.asarray(offset, np.float64)
         copy = model.placed(tuple(quaternions_from_matrices(R).tolist()), tuple(position.tolist()))
-        self._change([*models, copy], [*motions, motion_in_float32((x - origin) + position, v)], grasps)
+        moved = motion_in_float32((x - origin) + position, v)
+        self._change([*models, copy], [*motions, moved], [*rests, rests[i]], grasps)
         return len(models)
 
     def rescale(self, i: int, factor: float, *, about=None) -> None:
@@ -312,7 +325,7 @@ class Solver:
 
         Mass, stiffness bounds, distance grid and contact samples follow. Hands go on holding the same vertices.
         """
-        models, motions, grasps = self._in_motion()
+        models, motions, rests, grasps = self._in_motion()
         i = body_index(i, models)
         model, (x, v) = models[i], positions_and_velocities(motions[i])
         if not (np.isfinite(factor) and factor > 0.0):
@@ -321,12 +334,12 @@ class Solver:
         shift = (factor - 1.0) * (x - center)
         moved = motion_in_float32(x + shift, v)
         moved[3] = motions[i][3]
-        models[i], motions[i] = model.scaled(factor), moved
-        self._change(models, motions, None if grasps is None else grasps.shifted(i, shift))
+        models[i], motions[i], rests[i] = model.scaled(factor), moved, None if rests[i] is None else rests[i] / factor
+        self._change(models, motions, rests, None if grasps is None else grasps.shifted(i, shift))
 
     def displace(self, i: int, matrix: np.ndarray, *, rest: bool = False) -> None:
         """Move body i as it is by a rigid motion (4, 4) of the world; its velocities turn too, or `rest` ends them."""
-        models, motions, grasps = self._in_motion()
+        models, motions, rests, grasps = self._in_motion()
         i, M = body_index(i, models), np.asarray(matrix, np.float64)
         R = M[:3, :3]
         if M.shape != (4, 4) or not np.isfinite(M).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-6:
@@ -334,24 +347,26 @@ class Solver:
         x, v = positions_and_velocities(motions[i])
         shift = x @ (R.T - np.eye(3)) + M[:3, 3]
         motions[i] = motion_in_float32(x + shift, 0.0 * v if rest else v @ R.T)
-        self._change(models, motions, None if grasps is None else grasps.shifted(i, shift))
+        self._change(models, motions, rests, None if grasps is None else grasps.shifted(i, shift))
 
     def set_material(self, i: int, material: Material) -> None:
-        """Give body i another material."""
-        models, motions, grasps = self._in_motion()
+        """Give body i another material. What plastic flow has made of it, it keeps only in one that yields."""
+        models, motions, rests, grasps = self._in_motion()
         i = body_index(i, models)
         models[i] = models[i].with_material(material)
-        self._change(models, motions, grasps)
+        self._change(models, motions, rests, grasps)
 
     def reset(self, body_models: Sequence[BodyModel] | None = None) -> None:
         """Put all bodies, or these instead, back at their starts; grasps and contacts are forgotten."""
         models = self._model.bodies if body_models is None else body_models
-        self._change(models, [m.start for m in models], None)
+        self._change(models, [m.start for m in models], [None] * len(models), None)
         self._sleeping.restore(np.array([m.body.asleep for m in models], bool))
         self.untangling.restore(None)
 
     def snapshot(self) -> dict:
         """Return all that `restore` needs: x, x_lo, v, v_lo (V, 3), bodies, grasps, untangling, asleep (B,).
+
+        And rest_inverse, D_m^-1 of all tets (T, 3, 3) [1/m], or None where no body yields.
 
         Impulses of contacts are not kept: a restored state evolves identically each time, but contacts converge
         to their loads again in the first substeps.
@@ -363,17 +378,21 @@ class Solver:
             "grasps": self._grasps(),
             "untangling": self.untangling.snapshot(),
             "asleep": self._asleep(),
+            "rest_inverse": self.plastic_flow.read(),
         }
 
     def restore(self, snapshot: dict) -> None:
         """Go on from a snapshot.
 
         Only "x" and "v" are needed. Without "bodies" these are as now, without "grasps" hands are open, without
-        "asleep" all are awake, and what fp32 cannot hold of float64 values goes to x_lo and v_lo.
+        "asleep" all are awake, without "rest_inverse" rest shapes are as they were made, and what fp32 cannot hold of float64 values goes to x_lo and v_lo.
         """
         models = tuple(snapshot.get("bodies", self._model.bodies))
         motion = motion_of(snapshot, sum(len(m.shape.vertices) for m in models))
-        self._set_bodies(models, motion, snapshot.get("grasps"))
+        rests = snapshot.get("rest_inverse")
+        if rests is not None:
+            checked_rest_shapes(Model(models), rests)
+        self._set_bodies(models, motion, rests, snapshot.get("grasps"))
         self.untangling.restore(snapshot.get("untangling"))
         self._sleeping.restore(snapshot.get("asleep"))
         self._rigid_editing.reset()
@@ -384,7 +403,7 @@ class Solver:
         So the user waits before the first picture, and never during play.
         """
         self.state.read_motion()
-        for part in (self._rigid_editing, self.untangling, *self._constraints):
+        for part in (self._rigid_editing, self.untangling, self.plastic_flow, *self._constraints):
             part.warm_up()
         self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
         self.observe()
@@ -449,30 +468,49 @@ class Solver:
         self._model, self._integration = model, integration
         self.integrator = self._made_integrator(integration.integrator)
         parts = (self.state, self.elasticity, self._blocks, self._reductions, self.integrator, self.untangling)
-        for part in (*parts, self.kinematic, *self._constraints):
+        for part in (*parts, self.plastic_flow, self.kinematic, *self._constraints):
             part.load(model)
 
     def _set_bodies(
-        self, models: tuple[BodyModel, ...], motion: Sequence[np.ndarray], grasps: GraspState | None
+        self,
+        models: tuple[BodyModel, ...],
+        motion: Sequence[np.ndarray],
+        rests: np.ndarray | None,
+        grasps: GraspState | None,
     ) -> None:
         if self._model.bodies != models:
             self._load(Model(models))
         self.state.write_motion(motion)
+        if self.plastic_flow.active:
+            self.plastic_flow.write(rests)
+            self.integrator.take_rest_shapes()
         self._reductions.forget()
         self._recovery.begin()
         self.kinematic.end_frame()
         self._restart_contacts(grasps)
         self._sleeping.restore(None)
 
-    def _in_motion(self) -> tuple[list[BodyModel], list[np.ndarray], GraspState | None]:
-        """The bodies, the motion of each (x, x_lo, v, v_lo: (4, V, 3) float32), and the hands' grasps."""
-        motions = np.split(self.state.read_motion(), self._model.vertex_begin[1:-1], axis=1)
-        return list(self._model.bodies), motions if self._model.bodies else [], self._grasps()
+    def _in_motion(self) -> tuple[list[BodyModel], list[np.ndarray], list, GraspState | None]:
+        """The bodies; of each its motion (x, x_lo, v, v_lo: (4, V, 3) float32) and, if any yields, D_m^-1; the grasps."""
+        models, rests = list(self._model.bodies), self.plastic_flow.read()
+        motions = np.split(self.state.read_motion(), self._model.vertex_begin[1:-1], axis=1) if models else []
+        rests = [None] * len(models) if rests is None else np.split(rests, self._model.tet_begin[1:-1])
+        return models, motions, rests, self._grasps()
 
-    def _change(self, models: Sequence[BodyModel], motions: list[np.ndarray], grasps: GraspState | None) -> None:
-        """Take edited bodies, with the motion of each."""
+    def _change(
+        self,
+        models: Sequence[BodyModel],
+        motions: list[np.ndarray],
+        rests: Sequence[np.ndarray | None],
+        grasps: GraspState | None,
+    ) -> None:
+        """Take edited bodies, with the motion and the rest shapes of each; None: as it was made."""
         motion = np.concatenate([np.zeros((4, 0, 3), np.float32), *motions], axis=1)
-        self._set_bodies(tuple(models), motion, grasps)
+        flowed = None
+        if any(r is not None for r in rests):
+            pairs = zip(models, rests, strict=True)
+            flowed = np.concatenate([m.shape.inverse if r is None else r for m, r in pairs])
+        self._set_bodies(tuple(models), motion, flowed, grasps)
         self._rigid_editing.reset(held=True)
 
     def _restart_contacts(self, grasps: GraspState | None) -> None:

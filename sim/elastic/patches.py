@@ -65,7 +65,7 @@ class Patches:
         self.published = g.vector(2, V, 3, n=4)
         g.build()
         patches = [self.local, self.slot_begin, self.slot_end, self.local_begin, self.own_end, self.tet_begin]
-        self._upload = Upload([*patches, self.count, *self.corners, *self.slots, *self.gradient, self.tet])
+        self._upload = Upload([*patches, self.count, *self.corners, *self.slots, self.tet])
 
     def load(self, model: Model) -> None:
         """Take the rest shapes of these bodies."""
@@ -73,14 +73,22 @@ class Patches:
         order = stacked([o + b for o, b in zip(orders, model.vertex_begin, strict=False)])
         t = self._last.get(orders, lambda: divide(model.tets, order, self.blocks))
         tets, corner = t["tet"], t["corner"]
-        gradients = stacked([s.inverse.reshape(-1, 9) for s in model.shapes], 9)[tets]
         body = np.repeat(np.arange(len(model.shapes)), np.diff(model.tet_begin))[tets]
         slot = np.where(t["slot"] < 0, NO_SLOT, t["slot"])
         corners = corner[:, 0] | corner[:, 1] << 16, corner[:, 2] | corner[:, 3] << 16
         slots = slot[:, 0] | slot[:, 1] << SLOT_BITS | body << (2 * SLOT_BITS), slot[:, 2] | slot[:, 3] << SLOT_BITS
         words = (w.astype(np.uint32).view(np.int32) for w in (*corners, *slots))
         local = t["local"], t["slot_begin"], t["slot_end"], t["local_begin"], t["own_end"], t["tet_begin"]
-        self._upload([*local, [len(t["own_end"])], *words, *gradients.T, tets])
+        self._upload([*local, [len(t["own_end"])], *words, tets])
+        self.take_rest_shapes()
+
+    @ti.kernel
+    def take_rest_shapes(self):
+        """D_m^-1 of the tets as they are now."""
+        for k in self.tet:
+            B = self.elasticity.rest_inverse[self.tet[k]]
+            for c in ti.static(range(9)):
+                self.gradient[c][k] = B[c // 3, c % 3]
 
     @ti.func
     def publish(self, i, x, v, dx, parity):
@@ -307,8 +315,8 @@ class ColorPatches:
     awake i32[P], awake_count: the patches of bodies that are awake
     """
 
-    def __init__(self, state: State, blocks: int):
-        self.state, self.blocks, self._last = state, blocks, TablesOf()
+    def __init__(self, state: State, elasticity: Elasticity, blocks: int):
+        self.state, self.elasticity, self.blocks, self._last = state, elasticity, blocks, TablesOf()
         N = 4 * state.T
         self.max_count = blocks + MAX_BODIES + 16 * state.V // PLACES
         L = self.max_count * PLACES
@@ -340,16 +348,15 @@ class ColorPatches:
             colors_begin = t["own_begin"].ravel(), t["others_begin"].ravel()
             self._upload([*local, *colors_begin, [len(t["own_end"])], *words, t["tet"]])
             self.colors, self._tables = t["colors"], t
-        if len(t["tet"]):
-            inverse = np.concatenate([s.inverse.reshape(-1, 9) for s in model.shapes])
-            self._set_gradients(inverse.astype(np.float32), len(t["tet"]))
+        self.take_rest_shapes()
 
     @ti.kernel
-    def _set_gradients(self, inverse: ti.types.ndarray(ti.f32, 2), slots: ti.i32):
-        """D_m^-1 of each slot's tet, from those of all tets (T, 9)."""
-        for slot in range(slots):
+    def take_rest_shapes(self):
+        """D_m^-1 of each slot's tet as they are now."""
+        for slot in self.tet:
+            B = self.elasticity.rest_inverse[self.tet[slot]]
             for c in ti.static(range(9)):
-                self.gradient[c][slot] = inverse[self.tet[slot], c]
+                self.gradient[c][slot] = B[c // 3, c % 3]
 
     @ti.func
     def list_awake(self):

@@ -223,6 +223,9 @@ class VBDSubsteps:
             self.colors = len(begin) - 1
             self.graphs.clear()
 
+    def take_rest_shapes(self) -> None:
+        """Take the rest shapes after plastic flow: these kernels read the elasticity's own."""
+
     def run(self, substeps: int) -> None:
         """Take `substeps` substeps; each number has a graph of its own, of the same kernels."""
         if substeps not in self.graphs:

@@ -51,7 +51,7 @@ class PersistentVBD:
         self.state = state
         self.grid = PersistentGrid(WORDS, POINTS, per_multiprocessor=per_multiprocessor)
         self.lanes = min(LANES, self.grid.block)
-        self.patches = ColorPatches(state, self.grid.blocks)
+        self.patches = ColorPatches(state, elasticity, self.grid.blocks)
         self.descent = d = VertexDescent(state, constraints, rigid)
         self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
         self.whole = WholeBodies(state, blocks, d, self.grid.warp)
@@ -65,6 +65,10 @@ class PersistentVBD:
         """Take other bodies."""
         self.patches.load(model)
         self.modal.load(model)
+
+    def take_rest_shapes(self) -> None:
+        """Take the rest shapes as plastic flow has left them."""
+        self.patches.take_rest_shapes()
 
     def fits(self) -> bool:
         """Return whether all blocks run at once on this device; if not, `run` would never end."""

@@ -49,6 +49,9 @@ class XPBDSubsteps:
     def load(self, model: Model) -> None:
         """Take other bodies: the state and the elasticity hold all that these kernels read."""
 
+    def take_rest_shapes(self) -> None:
+        """Take the rest shapes after plastic flow: these kernels read the elasticity's own."""
+
     def run(self, substeps: int) -> None:
         """Take `substeps` substeps; each number has a graph of its own, of the same kernels, recorded in 0.3 ms."""
         if substeps not in self.graphs:
@@ -151,6 +154,10 @@ class PersistentXPBD:
     def load(self, model: Model) -> None:
         """Take other bodies."""
         self.patches.load(model)
+
+    def take_rest_shapes(self) -> None:
+        """Take the rest shapes as plastic flow has left them."""
+        self.patches.take_rest_shapes()
 
     def run(self, substeps: int) -> None:
         self._run(substeps)

@@ -27,6 +27,7 @@ MEASUREMENTS: tuple[Callable[..., list[dict]], ...] = (
     physics.spinning_bar,
     physics.recovery,
     physics.energy_kept,
+    physics.plastic_flow,
     physics_contact.rigid_bodies,
     physics_contact.momentum_kept,
     physics_contact.ring_throws,

@@ -5,10 +5,13 @@ Bar: 1 x 0.2 x 0.2 m, 10 x 2 x 2 cells, density 1000 kg/m^3. Every measurement r
 or ">=" for a bound; Taichi must be initialised.
 """
 
+from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 from multiprocessing import get_context
 
 import numpy as np
+import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 import taichi as ti
@@ -21,6 +24,7 @@ from core.vocabulary import Plane
 from prepare.fit.linear_elasticity import fem_stiffness
 from sim.bodies import SoftBody
 from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1
+from sim.model import models_of
 from sim.solver import Solver
 
 DENSITY, G = 1000.0, 9.81
@@ -251,8 +255,13 @@ def vibration_energy(solver: Solver) -> np.ndarray:
     q, o = solver.snapshot(), solver.vertex_offset
     v = q["v"].astype(np.float64) + q["v_lo"]
     x = q["x"].astype(np.float64) + q["x_lo"] - 0.5 * solver.stats["dt"] * v
-    spans = zip(q["bodies"], pairwise(o), strict=False)
-    return np.array([0.5 * b.mass @ (v[i:j] ** 2).sum(1) + strain_energy(b, x[i:j]) for b, (i, j) in spans])
+    energies, first = [], 0
+    for b, (i, j) in zip(q["bodies"], pairwise(o), strict=False):
+        end = first + len(b.shape.tets)
+        rest = None if q["rest_inverse"] is None else q["rest_inverse"][first:end].astype(np.float64)
+        energies.append(0.5 * b.mass @ (v[i:j] ** 2).sum(1) + strain_energy(b, x[i:j], rest))
+        first = end
+    return np.array(energies)
 
 
 def energy_kept(substeps: int = 1_000_000, vbd_substeps: int = 100_000) -> list[dict]:
@@ -299,6 +308,56 @@ def decay() -> list[dict]:
             ret = min(b.material.damping / RAYLEIGH_FREQUENCY**2, solver.stats["dt"])
             reference = b.material.damping + ret * w**2
             rows.append(row(f"decay of a {b.name} vibration ({integrator}) [1/s]", reference, rate, 0.05))
+    return rows
+
+
+def flow_twin(gradients: Iterable[np.ndarray], yield_strain: float) -> np.ndarray:
+    """F_p (3, 3) after deformation gradients F: the return mapping of sim/elastic/plastic_flow.py with logm and expm.
+
+    F_e = F F_p^-1,  e = dev log(F_e^T F_e) / 2,  |e| = sqrt(2/3 e:e) > Y:  F_p <- exp((1 - Y / |e|) e) F_p
+    """
+    Fp = np.eye(3)
+    for F in gradients:
+        Fe = F @ np.linalg.inv(Fp)
+        e = sl.logm(Fe.T @ Fe).real / 2
+        e -= np.trace(e) / 3 * np.eye(3)
+        strain = np.sqrt(2 / 3 * (e**2).sum())
+        if strain > yield_strain:
+            Fp = sl.expm((1 - yield_strain / strain) * e) @ Fp
+    return Fp
+
+
+def plastic_flow() -> list[dict]:
+    """Bars of clay: pressed and sheared, held and let go, against the twin; and the energy of one that swings."""
+    rows, frames, Y = [], 30, 0.05
+    rate = np.array([[-0.3, 0.2, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.1]])  # of log F, over the whole path
+    free = SoftBody("bar", BAR, TETS, SURFACE, Material(3e5, 0.45, DENSITY, damping=30.0, yield_strain=Y))
+    path = [sl.expm(s * rate) for s in np.linspace(0, 1, 1 + frames)]
+    Fp = flow_twin((a + s * (b - a) for a, b in pairwise(path) for s in np.linspace(0.1, 1, 10)), Y)
+    for integrator in ("xpbd", "vbd"):
+        everything = np.arange(len(BAR))
+        solver = Solver([replace(free, pinned=everything)], gravity=(0, 0, 0), contacts=False, integrator=integrator)
+        for F in path[1:]:
+            solver.kinematic.drive_vertices(0, everything, BAR @ F.T)
+            solver.step(1 / 60)
+        solver.restore({**solver.snapshot(), "bodies": models_of([free])})
+        for _ in range(60):
+            solver.step(1 / 60)
+        F = np.linalg.lstsq(BAR - BAR.mean(0), positions(solver)[0], rcond=None)[0].T
+        off = np.abs(F.T @ F - Fp.T @ Fp).max()
+        name = f"clay pressed and let go ({integrator})"
+        rows.append(row(f"{name}, length [m]", np.linalg.norm(Fp[:, 0]), np.linalg.norm(F[:, 0]), 1e-3))
+        rows.append(at_most(f"{name}, F^T F off the return mapping's", 2e-3, off))
+        swinging = replace(free, material=replace(free.material, damping=0.0))
+        solver = Solver([swinging], gravity=(0, 0, 0), contacts=False, integrator=integrator)
+        solver.restore({"x": BAR, "v": 3.0 * np.cos(np.pi * BAR[:, 0])[:, None] * [1.0, 0.5, 0.0]})
+        energy = []
+        for _ in range(120):
+            solver.step(1 / 180)
+            energy.append(vibration_energy(solver)[0])
+        gain = np.max(energy[1:] - np.minimum.accumulate(energy)[:-1]) / energy[0]
+        rows.append(at_most(f"swinging clay ({integrator}), energy gained / first", 0.01, gain))
+        rows.append(at_most(f"swinging clay ({integrator}), energy left / first", 0.5, energy[-1] / energy[0]))
     return rows
 
 
@@ -394,20 +453,20 @@ def positions_of_another_process(contacts: bool) -> np.ndarray:
         return pool.apply(agreement_positions_on_cpu, (contacts,))
 
 
-def strain_energy(body, x: np.ndarray) -> float:
+def strain_energy(body, x: np.ndarray, rest_inverse: np.ndarray | None = None) -> float:
     """Elastic energy [J] of a body at x (V, 3)."""
-    return float(tet_energies(body, x)[0].sum())
+    return float(tet_energies(body, x, rest_inverse)[0].sum())
 
 
-def tet_energies(body, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tet_energies(body, x: np.ndarray, rest_inverse: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """V (mu/2 (tr F^T F - 3) - mu (J - 1) + lam/2 (J - 1)^2) [J] of each tet of a body at x (V, 3), (T,) float64.
 
-    Also whether the tet is so far from rest that a single sweep of XPBD shortens its step, (T,) bool.
+    rest_inverse: D_m^-1 of the tets (T, 3, 3); None: as they were made. Also whether the tet is so far from rest that a single sweep of XPBD shortens its step, (T,) bool.
     """
     mu, lam = body.material.lame_parameters
     lam += mu
     corners = x[body.shape.tets]
-    F = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2) @ body.shape.inverse
+    F = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2) @ (body.shape.inverse if rest_inverse is None else rest_inverse)
     I1, dJ = (F**2).sum((1, 2)), np.linalg.det(F) - 1
     density = mu / 2 * (I1 - 3) - mu * dJ + lam / 2 * dJ**2
     return body.shape.volumes * density, (I1 > STRETCHED_I1) | (dJ < CRUSHED_DJ)

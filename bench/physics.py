@@ -255,13 +255,8 @@ def vibration_energy(solver: Solver) -> np.ndarray:
     q, o = solver.snapshot(), solver.vertex_offset
     v = q["v"].astype(np.float64) + q["v_lo"]
     x = q["x"].astype(np.float64) + q["x_lo"] - 0.5 * solver.stats["dt"] * v
-    energies, first = [], 0
-    for b, (i, j) in zip(q["bodies"], pairwise(o), strict=False):
-        end = first + len(b.shape.tets)
-        rest = None if q["rest_inverse"] is None else q["rest_inverse"][first:end].astype(np.float64)
-        energies.append(0.5 * b.mass @ (v[i:j] ** 2).sum(1) + strain_energy(b, x[i:j], rest))
-        first = end
-    return np.array(energies)
+    spans = zip(q["bodies"], pairwise(o), solver.rest_inverses(), strict=False)
+    return np.array([0.5 * b.mass @ (v[i:j] ** 2).sum(1) + strain_energy(b, x[i:j], rest) for b, (i, j), rest in spans])
 
 
 def energy_kept(substeps: int = 1_000_000, vbd_substeps: int = 100_000) -> list[dict]:
@@ -312,18 +307,19 @@ def decay() -> list[dict]:
 
 
 def flow_twin(gradients: Iterable[np.ndarray], yield_strain: float) -> np.ndarray:
-    """F_p (3, 3) after deformation gradients F: the return mapping of sim/elastic/plastic_flow.py with logm and expm.
+    """F_p (3, 3) after deformation gradients F: the return mapping of sim/elastic/plastic_flow.py in the frame of F_e^T F_e.
 
     F_e = F F_p^-1,  e = dev log(F_e^T F_e) / 2,  |e| = sqrt(2/3 e:e) > Y:  F_p <- exp((1 - Y / |e|) e) F_p
     """
     Fp = np.eye(3)
     for F in gradients:
         Fe = F @ np.linalg.inv(Fp)
-        e = sl.logm(Fe.T @ Fe).real / 2
-        e -= np.trace(e) / 3 * np.eye(3)
-        strain = np.sqrt(2 / 3 * (e**2).sum())
+        squares, axes = np.linalg.eigh(Fe.T @ Fe)
+        e = np.log(squares) / 2
+        e -= e.mean()
+        strain = np.sqrt(2 / 3 * e @ e)
         if strain > yield_strain:
-            Fp = sl.expm((1 - yield_strain / strain) * e) @ Fp
+            Fp = axes * np.exp((1 - yield_strain / strain) * e) @ axes.T @ Fp
     return Fp
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -233,10 +234,11 @@ class BodyModel:
 
     @cached_property
     def kappa(self) -> np.ndarray:
-        """Stiffness bound of each tet [1/s^2], also of its rest shape after plastic flow, (T,)."""
-        s = self.shape
-        bounds = stiffness_bounds(s.inverse, s.volumes, self.inv_mass[s.tets], self.material)
-        return bounds if self.material.yield_strain is None else np.full_like(bounds, FLOW_STIFFENING * bounds.max(initial=0.0))
+        """Stiffness bound of each tet [1/s^2], (T,); of a material that yields also after plastic flow."""
+        s, yields = self.shape, self.material.yield_strain is not None
+        inv_mass = 1 / self.mass if yields else self.inv_mass  # what is let go may flow no farther than what is pinned
+        bounds = stiffness_bounds(s.inverse, s.volumes, inv_mass[s.tets], self.material)
+        return np.full_like(bounds, FLOW_STIFFENING * bounds.max(initial=0.0)) if yields else bounds
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -325,6 +327,10 @@ class Model:
     def crossing_time(self) -> float:
         """The shortest time [s] in which a pressure wave crosses a body."""
         return min((p.crossing_time for p in self.bodies), default=np.inf)
+
+    def split_tets(self, values: np.ndarray) -> list[np.ndarray]:
+        """Those of each body of some values of all tets (T, ...)."""
+        return [values[first:end] for first, end in pairwise(self.tet_begin)]
 
     def columns(self) -> dict[str, np.ndarray]:
         """The values of State's fields of these names."""

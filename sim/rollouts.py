@@ -98,17 +98,18 @@ class Rollouts:
                 now = release
             if now >= release and not free:
                 free = True
-                self._set(candidates, *self._motion(), free)
+                self._set(candidates, *self._motion(), free, self._solver.snapshot()["rest_inverse"])
             self._advance(time - now)
             now = float(time)
             found.append(observe(self._motion()[0] - offsets))
         return np.stack(found)
 
-    def _set(self, candidates: Sequence[Candidate], x: np.ndarray, v: np.ndarray, free: bool) -> None:
+    def _set(self, candidates: Sequence[Candidate], x, v, free: bool, rest_inverse: np.ndarray | None = None) -> None:
         model = self._free if free else self._held
         models = [model.with_material(of_pair(c.material)) for c in candidates]
         held = (model.inv_mass == 0.0)[:, None]
-        self._solver.restore({"x": x.reshape(-1, 3), "v": np.where(held, 0.0, v).reshape(-1, 3), "bodies": models})
+        motion = {"x": x.reshape(-1, 3), "v": np.where(held, 0.0, v).reshape(-1, 3)}
+        self._solver.restore({**motion, "bodies": models, "rest_inverse": rest_inverse})
 
     def _motion(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m] and velocities [m/s] (C, V, 3) float64."""

@@ -242,6 +242,11 @@ class Solver:
         """The bodies, with their shapes."""
         return self._model.bodies
 
+    def rest_inverses(self) -> list[np.ndarray]:
+        """D_m^-1 of each body's tets [1/m] as plastic flow has left them, (T, 3, 3) each."""
+        rests = self.plastic_flow.read()
+        return [s.inverse for s in self._model.shapes] if rests is None else self._model.split_tets(rests)
+
     @property
     def vertex_offset(self) -> list[int]:
         """First vertex of each body, and the end of the last, (B+1,)."""
@@ -494,8 +499,7 @@ class Solver:
         """The bodies; of each its motion (x, x_lo, v, v_lo: (4, V, 3) float32) and, if any yields, D_m^-1; the grasps."""
         models, rests = list(self._model.bodies), self.plastic_flow.read()
         motions = np.split(self.state.read_motion(), self._model.vertex_begin[1:-1], axis=1) if models else []
-        rests = [None] * len(models) if rests is None else np.split(rests, self._model.tet_begin[1:-1])
-        return models, motions, rests, self._grasps()
+        return models, motions, [None] * len(models) if rests is None else self._model.split_tets(rests), self._grasps()
 
     def _change(
         self,

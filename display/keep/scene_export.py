@@ -89,7 +89,7 @@ def cage_fields(body: MovingBody) -> tuple[dict[str, np.ndarray], dict[str, np.n
     stress = np.zeros(len(tets))
     if not shape.rigid:
         edges = np.swapaxes(x[tets][:, 1:] - x[tets][:, :1], 1, 2)
-        stress = von_mises(edges @ shape.inverse, *lame(model.material))
+        stress = von_mises(edges @ body.rest_inverse, *lame(model.material))
     points = {"displacement": x - (rest @ R.T + t), "velocity": body.v}
     return points, {"body": np.full(len(tets), body.index), "volume_ratio": ratio, "von_mises_stress": stress}
 

@@ -60,7 +60,7 @@ def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
     )  # fmt: skip
     return SceneState(
         located(about), scene_assets(scene), added, tuple(bodies), motion, solver["untangling"], animations,
-        solver["grasps"], settings,
+        solver["grasps"], settings, solver["rest_inverse"],
     )  # fmt: skip
 
 
@@ -109,6 +109,7 @@ def put_state(world: World, state: SceneState, where: str) -> None:
     there = world.device.solver.snapshot()["grasps"]
     fits = there is not None and state.hands is not None and len(there.grasps) == len(state.hands.grasps)
     solver |= {"bodies": models, "untangling": state.untangling, "grasps": state.hands if fits else None}
+    solver["rest_inverse"] = state.rest_inverse
     solver["asleep"] = np.array([body.asleep for body in state.bodies], bool)
     before = world.snapshot()
     try:

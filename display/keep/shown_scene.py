@@ -60,21 +60,23 @@ def gaussians_of(world: World, spans: Sequence[tuple[int, int]], *, shadows: boo
 
 @dataclass(frozen=True)
 class MovingBody:
-    """A body as it is: its model, and positions [m] and velocities [m/s] of its vertices, (V, 3) float64."""
+    """A body as it is: its model, positions [m] and velocities [m/s] of its vertices, (V, 3) float64; D_m^-1 of its tets
+    [1/m], (T, 3, 3)."""
 
     model: BodyModel
     index: int
     x: np.ndarray
     v: np.ndarray
+    rest_inverse: np.ndarray
 
 
 def moving_bodies(world: World, body: int | None) -> list[MovingBody]:
     """All simulated bodies, or one."""
     solver = world.device.solver
-    state, begin = solver.snapshot(), solver.vertex_offset
+    state, begin, rests = solver.snapshot(), solver.vertex_offset, solver.rest_inverses()
     x, v = (state[high].astype(np.float64) + state[low] for high, low in (("x", "x_lo"), ("v", "v_lo")))
     return [
-        MovingBody(model, k, x[begin[k] : begin[k + 1]], v[begin[k] : begin[k + 1]])
+        MovingBody(model, k, x[begin[k] : begin[k + 1]], v[begin[k] : begin[k + 1]], rests[k])
         for k, model in enumerate(solver.body_models)
         if body in (None, k)
     ]

@@ -23,7 +23,7 @@ from sim.model import MAX_BODIES
 from sim.recovery import DURATION
 from sim.state import MOTION
 
-FORMAT, VERSION = "vrgs-state", 1
+FORMAT, VERSION = "vrgs-state", 2  # 1: no material had a yield strain
 TIME_MAX = 1e9  # [s]
 FINITE = (-MAGNITUDE_MAX, MAGNITUDE_MAX)
 HANDS_MAX, POSES_MAX = 16, 1000
@@ -93,7 +93,8 @@ class Settings:
 
 @dataclass(frozen=True)
 class SceneState:
-    """Content of the file. `motion` (4, V, 3) float32 and `untangling` (3, B) as Solver.snapshot gives them."""
+    """Content of the file. `motion` (4, V, 3) float32, `untangling` (3, B) and `rest_inverse` as Solver.snapshot gives
+    them."""
 
     about: dict
     assets: Assets
@@ -104,17 +105,18 @@ class SceneState:
     animations: tuple[SavedAnimation, ...]
     hands: GraspState | None
     settings: Settings
+    rest_inverse: np.ndarray | None = None
 
 
 def read_state(path: str | Path) -> SceneState:
     """Read and check a file. Raises BadInput."""
     with open_hdf5(Path(path)) as file:
-        file.check_format(FORMAT, "a saved state", VERSION)
+        version = file.check_format(FORMAT, "a saved state", VERSION)
         about = checked_about(file.text("", "about"), str(path))
         assets = file.json("", "assets", Assets)
         added = file.json("", "added", Added)
         settings = file.json("", "settings", Settings)
-        bodies = read_bodies(file, settings.material_names)
+        bodies = read_bodies(file, settings.material_names, len(MATERIAL_FIELDS) - (version < 2))
         count, vertices = len(bodies), sum(b.vertices for b in bodies)
         motion = np.stack([file.floats(f"motion/{name}", (vertices, 3), within=FINITE) for name in MOTION])
         untangling = file.floats("bodies/untangling", (3, count), np.float64, within=(0.0, DURATION + 3.0))
@@ -122,11 +124,12 @@ def read_state(path: str | Path) -> SceneState:
             raise file.error("bodies/untangling holds values out of range")
         animations = read_animations(file, count)
         hands = read_hands(file, bodies) if file.has("hands") else None
-    return SceneState(about, assets, added, bodies, motion, untangling, animations, hands, settings)
+        rest = file.floats("rest_inverse", (None, 3, 3), within=FINITE) if file.has("rest_inverse") else None
+    return SceneState(about, assets, added, bodies, motion, untangling, animations, hands, settings, rest)
 
 
-def read_bodies(file: Hdf5Reader, names: Sequence[str]) -> tuple[SavedBody, ...]:
-    """The bodies, without their motion."""
+def read_bodies(file: Hdf5Reader, names: Sequence[str], numbers: int) -> tuple[SavedBody, ...]:
+    """The bodies, without their motion; `numbers` of a material in this file."""
     source = file.indices("bodies/source", (None,))
     count = len(source)
     if count > MAX_BODIES or len(names) != count:
@@ -135,8 +138,8 @@ def read_bodies(file: Hdf5Reader, names: Sequence[str]) -> tuple[SavedBody, ...]
     vertices = file.indices("bodies/vertices", (count,))
     size = file.floats("bodies/size", (count,), np.float64, within=(1e-6, 1e3))
     materials = []
-    for k, row in enumerate(file.floats("bodies/material", (count, len(MATERIAL_FIELDS)), np.float64).tolist()):
-        materials.append(Material(*row[:-1], None if math.isnan(row[-1]) else row[-1]))
+    for k, row in enumerate(file.floats("bodies/material", (count, numbers), np.float64).tolist()):
+        materials.append(Material(*row[:5], *(None if math.isnan(n) else n for n in row[5:])))
         materials[k].check(f"{file.path}: body {k}")
     columns = (source.tolist(), copies.tolist(), size.tolist(), materials, names, vertices.tolist(), asleep.tolist())
     return tuple(SavedBody(*row) for row in zip(*columns, strict=True))
@@ -205,6 +208,8 @@ def write_state(path: str | Path, state: SceneState) -> None:
         write_dataset(file, "bodies/untangling", state.untangling, np.float64)
         for name, values in zip(MOTION, state.motion, strict=True):
             write_dataset(file, f"motion/{name}", values, np.float32)
+        if state.rest_inverse is not None:
+            write_dataset(file, "rest_inverse", state.rest_inverse, np.float32)
         write_dataset(file, "animations/body", [a.body for a in state.animations], np.int32)
         write_dataset(file, "animations/time", [a.time for a in state.animations], np.float64)
         places = np.array([a.world_from_body for a in state.animations]).reshape(-1, 4, 4)

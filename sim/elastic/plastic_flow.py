@@ -11,8 +11,6 @@ was prepared, are not touched. A rest shape flows no farther than the substep al
 stiffness (BodyModel.kappa); a tet that would have to is elastic beyond.
 """
 
-from itertools import pairwise
-
 import numpy as np
 import taichi as ti
 
@@ -32,7 +30,7 @@ class PlasticFlow:
     """`run` lets the rest shapes flow, which only `active` bodies need: those of a material with a yield strain.
 
     limits vec3[B]: yield strain Y, 0 of an elastic body; I1 J^-2/3 below which |e| < Y in any direction; the largest
-    V sum_a w_a |grad N_a|^2 of a tet [1/kg m]
+    V sum_a |grad N_a|^2 / m_a of a tet [m/kg]
     """
 
     def __init__(self, state: State, elasticity: Elasticity):
@@ -91,8 +89,8 @@ class PlasticFlow:
                 B = B @ V @ ti.Matrix([[back[0], 0.0, 0.0], [0.0, back[1], 0.0], [0.0, 0.0, back[2]]]) @ V.transpose()
                 B *= (6.0 * e.volume[t] * B.determinant()) ** (-1.0 / 3.0)  # or rounding would add up
                 g1, g2, g3 = row(B, 0), row(B, 1), row(B, 2)
-                stiffness = s.inv_mass[a[0]] * (g1 + g2 + g3).norm_sqr() + s.inv_mass[a[1]] * g1.norm_sqr()
-                stiffness += s.inv_mass[a[2]] * g2.norm_sqr() + s.inv_mass[a[3]] * g3.norm_sqr()
+                stiffness = (g1 + g2 + g3).norm_sqr() / s.mass[a[0]] + g1.norm_sqr() / s.mass[a[1]]
+                stiffness += g2.norm_sqr() / s.mass[a[2]] + g3.norm_sqr() / s.mass[a[3]]
                 if e.volume[t] * stiffness <= limits[2]:  # NaN is not
                     e.rest_inverse[t] = B
 
@@ -105,12 +103,12 @@ def checked_rest_shapes(model: Model, rest_inverse: np.ndarray | None) -> np.nda
     given = np.asarray(rest_inverse, np.float64)
     if given.shape != shapes.shape or not np.isfinite(given).all():
         raise BadInput(f"snapshot: rest_inverse must be finite and of shape {shapes.shape}, not {given.shape}")
-    for p, (first, end) in zip(model.bodies, pairwise(model.tet_begin), strict=True):
+    for p, B, rest in zip(model.bodies, model.split_tets(given), model.split_tets(shapes), strict=True):
         if p.material.yield_strain is not None:
-            B, volumes = given[first:end], p.shape.volumes
+            volumes = p.shape.volumes
             kept = np.abs(6 * volumes * np.linalg.det(B) - 1).max(initial=0.0) < TOLERANCE
-            stiff = stiffness_bounds(B, volumes, p.inv_mass[p.shape.tets], p.material) > (1 + TOLERANCE) * p.kappa
+            stiff = stiffness_bounds(B, volumes, 1 / p.mass[p.shape.tets], p.material) > (1 + TOLERANCE) * p.kappa
             if not kept or stiff.any():
                 raise BadInput(f"snapshot: rest_inverse of {p.body.name} is none that it can flow to")
-            shapes[first:end] = B
+            rest[:] = B
     return shapes

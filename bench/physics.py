@@ -307,7 +307,7 @@ def decay() -> list[dict]:
 
 
 def flow_twin(gradients: Iterable[np.ndarray], yield_strain: float) -> np.ndarray:
-    """F_p (3, 3) after deformation gradients F: the return mapping of sim/elastic/plastic_flow.py in the frame of F_e^T F_e.
+    """F_p (3, 3) after deformation gradients F: the return mapping of sim/elastic/plastic_flow.py.
 
     F_e = F F_p^-1,  e = dev log(F_e^T F_e) / 2,  |e| = sqrt(2/3 e:e) > Y:  F_p <- exp((1 - Y / |e|) e) F_p
     """
@@ -457,12 +457,13 @@ def strain_energy(body, x: np.ndarray, rest_inverse: np.ndarray | None = None) -
 def tet_energies(body, x: np.ndarray, rest_inverse: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """V (mu/2 (tr F^T F - 3) - mu (J - 1) + lam/2 (J - 1)^2) [J] of each tet of a body at x (V, 3), (T,) float64.
 
-    rest_inverse: D_m^-1 of the tets (T, 3, 3); None: as they were made. Also whether the tet is so far from rest that a single sweep of XPBD shortens its step, (T,) bool.
+    Also whether the tet is so far from rest that a single sweep of XPBD shortens its step, (T,) bool.
+    rest_inverse: D_m^-1 of the tets [1/m], (T, 3, 3); None: as they were made.
     """
     mu, lam = body.material.lame_parameters
     lam += mu
-    corners = x[body.shape.tets]
-    F = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2) @ (body.shape.inverse if rest_inverse is None else rest_inverse)
+    corners, B = x[body.shape.tets], body.shape.inverse if rest_inverse is None else rest_inverse
+    F = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2) @ B
     I1, dJ = (F**2).sum((1, 2)), np.linalg.det(F) - 1
     density = mu / 2 * (I1 - 3) - mu * dJ + lam / 2 * dJ**2
     return body.shape.volumes * density, (I1 > STRETCHED_I1) | (dJ < CRUSHED_DJ)

@@ -29,6 +29,8 @@ def list_scenes(options: ScenesOptions) -> None:
 
 def list_materials(options: MaterialsOptions) -> None:
     """Print a line for each material."""
-    print(f"{'':8} {'young [Pa]':>10} {'poisson':>8} {'density [kg/m^3]':>17} {'friction':>9} {'sliding':>8}")
+    row = "{:8} {:>10} {:>8} {:>17} {:>9} {:>8} {:>13}"
+    print(row.format("", "young [Pa]", "poisson", "density [kg/m^3]", "friction", "sliding", "yield strain"))
     for name, m in MATERIALS.items():
-        print(f"{name:8} {m.young:10.0e} {m.poisson:8} {m.density:17} {m.friction:9} {m.sliding_friction:8}")
+        numbers = m.poisson, m.density, m.friction, m.sliding_friction, m.yield_strain or "-"
+        print(row.format(name, f"{m.young:.0e}", *numbers))

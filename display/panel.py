@@ -287,10 +287,13 @@ def material_sliders(world: WorldView, k: int) -> list[Slider]:
         return sliders
     tip = "Young's modulus [Pa]: jelly 5 kPa, rubber 2 MPa."
     fading = "Rate at which vibrations lose their energy."
+    strains = [] if material.yield_strain is None else [material.yield_strain]
+    keeps = "Strain beyond which it keeps its new shape."
     return [
         slider("young", "stiffness", (1e3, 1e8), modulus, tip, log=True),
         *sliders,
         slider("damping", "damping", (0.0, 50.0), f"{material.damping:.1f} /s", fading),
+        *(slider("yield_strain", "yields at", (0.01, 1.0), f"{s:.1%}", keeps, log=True) for s in strains),
     ]
 
 

@@ -138,7 +138,7 @@ class Solver:
                 self.untangling.run(launch_dt)
                 self.damping.run(launch_dt)
                 self.integrator.run(schedule.substeps)  # each: predict, elasticity, contacts and hands, commit
-                self._let_flow()
+                self.plastic_flow.run(self.integrator.patches)
         self._recovery.recover()
         self.kinematic.end_frame()
         self._sleeping.end_frame(dt)
@@ -159,11 +159,6 @@ class Solver:
         if self.untangling.begin_frame(self._grasped_bodies(), self.kinematic.bodies, dt):
             self._restart_contacts(self._grasps())
         self._reductions.forget()
-
-    def _let_flow(self) -> None:
-        if self.plastic_flow.active:
-            self.plastic_flow.run()
-            self.integrator.take_rest_shapes()
 
     def _find_contacts(self, dt: float) -> None:
         for c in self._constraints:
@@ -390,7 +385,8 @@ class Solver:
         """Go on from a snapshot.
 
         Only "x" and "v" are needed. Without "bodies" these are as now, without "grasps" hands are open, without
-        "asleep" all are awake, without "rest_inverse" rest shapes are as they were made, and what fp32 cannot hold of float64 values goes to x_lo and v_lo.
+        "asleep" all are awake, without "rest_inverse" rest shapes are as they were made, and what fp32 cannot hold of
+        float64 values goes to x_lo and v_lo.
         """
         models = tuple(snapshot.get("bodies", self._model.bodies))
         motion = motion_of(snapshot, sum(len(m.shape.vertices) for m in models))
@@ -476,19 +472,11 @@ class Solver:
         for part in (*parts, self.plastic_flow, self.kinematic, *self._constraints):
             part.load(model)
 
-    def _set_bodies(
-        self,
-        models: tuple[BodyModel, ...],
-        motion: Sequence[np.ndarray],
-        rests: np.ndarray | None,
-        grasps: GraspState | None,
-    ) -> None:
+    def _set_bodies(self, models: tuple[BodyModel, ...], motion, rests, grasps: GraspState | None) -> None:
         if self._model.bodies != models:
             self._load(Model(models))
         self.state.write_motion(motion)
-        if self.plastic_flow.active:
-            self.plastic_flow.write(rests)
-            self.integrator.take_rest_shapes()
+        self.plastic_flow.write(rests, self.integrator.patches)
         self._reductions.forget()
         self._recovery.begin()
         self.kinematic.end_frame()
@@ -496,25 +484,17 @@ class Solver:
         self._sleeping.restore(None)
 
     def _in_motion(self) -> tuple[list[BodyModel], list[np.ndarray], list, GraspState | None]:
-        """The bodies; of each its motion (x, x_lo, v, v_lo: (4, V, 3) float32) and, if any yields, D_m^-1; the grasps."""
+        """The bodies; the motion of each (x, x_lo, v, v_lo: (4, V, 3) float32), D_m^-1 if one yields; the grasps."""
         models, rests = list(self._model.bodies), self.plastic_flow.read()
         motions = np.split(self.state.read_motion(), self._model.vertex_begin[1:-1], axis=1) if models else []
         return models, motions, [None] * len(models) if rests is None else self._model.split_tets(rests), self._grasps()
 
-    def _change(
-        self,
-        models: Sequence[BodyModel],
-        motions: list[np.ndarray],
-        rests: Sequence[np.ndarray | None],
-        grasps: GraspState | None,
-    ) -> None:
-        """Take edited bodies, with the motion and the rest shapes of each; None: as it was made."""
+    def _change(self, models: Sequence[BodyModel], motions: list, rests: list, grasps: GraspState | None) -> None:
+        """Take edited bodies, with the motion of each, and D_m^-1 of its tets, None: as they were made."""
         motion = np.concatenate([np.zeros((4, 0, 3), np.float32), *motions], axis=1)
-        flowed = None
-        if any(r is not None for r in rests):
-            pairs = zip(models, rests, strict=True)
-            flowed = np.concatenate([m.shape.inverse if r is None else r for m, r in pairs])
-        self._set_bodies(tuple(models), motion, flowed, grasps)
+        as_made = all(r is None for r in rests)
+        whole = [m.shape.inverse if r is None else r for m, r in zip(models, rests, strict=True) if not as_made]
+        self._set_bodies(tuple(models), motion, None if as_made else np.concatenate(whole), grasps)
         self._rigid_editing.reset(held=True)
 
     def _restart_contacts(self, grasps: GraspState | None) -> None:

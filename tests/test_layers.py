@@ -28,10 +28,10 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_885, "assets": 5_040, "scenes": 2_220, "sim": 10_780, "render": 3_505, "prepare": 14_900,
-    "display": 13_755, "commands": 4_500, "bench": 3_400, "installer": 200, "tests": 36_060,
+    "core": 2_885, "assets": 5_040, "scenes": 2_220, "sim": 10_860, "render": 3_505, "prepare": 14_900,
+    "display": 13_765, "commands": 4_505, "bench": 3_440, "installer": 200, "tests": 36_140,
 }  # fmt: skip
-MOST_FILES = 307  # of the product
+MOST_FILES = 308  # of the product
 
 
 def product_files() -> list[Path]:

@@ -60,8 +60,8 @@ def gaussians_of(world: World, spans: Sequence[tuple[int, int]], *, shadows: boo
 
 @dataclass(frozen=True)
 class MovingBody:
-    """A body as it is: its model, positions [m] and velocities [m/s] of its vertices, (V, 3) float64; D_m^-1 of its tets
-    [1/m], (T, 3, 3)."""
+    """A body as it is: its model, positions [m] and velocities [m/s] of its vertices, (V, 3) float64, and D_m^-1 of its
+    tets [1/m], (T, 3, 3)."""
 
     model: BodyModel
     index: int

@@ -54,18 +54,29 @@ class PlasticFlow:
         """D_m^-1 of all tets as they are now [1/m], (T, 3, 3) float32; None without an active body."""
         return self.elasticity.rest_inverse.to_numpy()[: self.model.sizes.tets] if self.active else None
 
-    def write(self, rest_inverse: np.ndarray | None) -> None:
-        """Take what `read` returned, for active bodies; None: these are as they were made."""
+    def write(self, rest_inverse: np.ndarray | None, patches) -> None:
+        """Take what `read` returned, for bodies that yield; None: as they were made. `patches` as in `run`."""
         if self.active:
             self._write([checked_rest_shapes(self.model, rest_inverse).reshape(-1, 9)])
+            self._copy_to(patches)
+
+    def run(self, patches) -> None:
+        """Let the rest shapes flow; `patches` are those of the integrator, which hold copies, or None."""
+        if self.active:
+            self._run()
+            self._copy_to(patches)
+
+    def _copy_to(self, patches) -> None:
+        if patches is not None:
+            patches.take_rest_shapes()
 
     def warm_up(self) -> None:
         """Compile, see Solver.warm_up."""
-        self.run()
+        self._run()
         self.elasticity.rest_inverse.to_numpy()
 
     @ti.kernel
-    def run(self):
+    def _run(self):
         s = self.state
         ti.loop_config(serialize=s.serial)
         for t in range(s.T):

@@ -193,6 +193,7 @@ class VBDSubsteps:
 
     max_substeps = 16  # behind one call
     warm_started, iterations = True, SWEEPS["vbd"]
+    patches = None  # its kernels read the rest shapes where plastic flow writes them
 
     def __init__(
         self, state: State, elasticity: Elasticity, constraints: list[Constraint], rigid, blocks: ReductionBlocks
@@ -222,9 +223,6 @@ class VBDSubsteps:
         if self.colors != len(begin) - 1:
             self.colors = len(begin) - 1
             self.graphs.clear()
-
-    def take_rest_shapes(self) -> None:
-        """Take the rest shapes after plastic flow: these kernels read the elasticity's own."""
 
     def run(self, substeps: int) -> None:
         """Take `substeps` substeps; each number has a graph of its own, of the same kernels."""

@@ -66,10 +66,6 @@ class PersistentVBD:
         self.patches.load(model)
         self.modal.load(model)
 
-    def take_rest_shapes(self) -> None:
-        """Take the rest shapes as plastic flow has left them."""
-        self.patches.take_rest_shapes()
-
     def fits(self) -> bool:
         """Return whether all blocks run at once on this device; if not, `run` would never end."""
         self._run(0, 0)

@@ -37,6 +37,7 @@ class XPBDSubsteps:
 
     max_substeps = 16  # behind one call
     warm_started, iterations = False, SWEEPS["xpbd"]
+    patches = None  # its kernels read the rest shapes where plastic flow writes them
 
     def __init__(self, state: State, elasticity: Elasticity, constraints: list[Constraint], rigid):
         self.state, self.elasticity, self.rigid = state, elasticity, rigid
@@ -48,9 +49,6 @@ class XPBDSubsteps:
 
     def load(self, model: Model) -> None:
         """Take other bodies: the state and the elasticity hold all that these kernels read."""
-
-    def take_rest_shapes(self) -> None:
-        """Take the rest shapes after plastic flow: these kernels read the elasticity's own."""
 
     def run(self, substeps: int) -> None:
         """Take `substeps` substeps; each number has a graph of its own, of the same kernels, recorded in 0.3 ms."""
@@ -154,10 +152,6 @@ class PersistentXPBD:
     def load(self, model: Model) -> None:
         """Take other bodies."""
         self.patches.load(model)
-
-    def take_rest_shapes(self) -> None:
-        """Take the rest shapes as plastic flow has left them."""
-        self.patches.take_rest_shapes()
 
     def run(self, substeps: int) -> None:
         self._run(substeps)

@@ -165,7 +165,7 @@ def astray(world) -> None:
 def everything(world) -> dict:
     solver = world.device.solver.snapshot()
     told = {name: getattr(world, name) for name in ("time", "gravity", "time_scale", "light", "interaction")}
-    return {name: solver[name] for name in (*MOTION, "asleep", "untangling")} | told
+    return {name: solver[name] for name in (*MOTION, "asleep", "untangling", "rest_inverse")} | told
 
 
 @pytest.fixture(scope="module")
@@ -175,11 +175,14 @@ def saved(world, tmp_path_factory):
     edits = [cmd.Reset(), cmd.SetInteraction("physics"), cmd.SetGravity((0.0, -9.0, 0.0))]
     edits += [cmd.SetLight(Light((0.2, 2.0, 0.0)))]
     world.step(Frame(1 / 60, 0.0, world.cameras, [Hand()], edits))
-    frames(world, 1, cmd.Duplicate(0), cmd.Rescale(0, 0.9), cmd.SetMaterial(1, replace(SOFT, young=3e4)))
+    clay = replace(SOFT, young=3e4, yield_strain=0.01)
+    frames(world, 1, cmd.Duplicate(0), cmd.Rescale(0, 0.9), cmd.SetMaterial(1, clay))
     frames(world, 8, cmd.SetTimeScale(0.9))
     frames(world, 1, cmd.SaveState())
     write_state(path, state_of(world, ABOUT))
     assert any(body.held for body in world.bodies())
+    made, now = world.device.solver.body_models[1].shape.inverse, world.device.solver.rest_inverses()[1]
+    assert np.abs(now - made).max() > 0.01 * np.abs(made).max(), "it has flowed"
     frames(world, 6)
     return path, everything(world)
 
@@ -197,6 +200,19 @@ def test_a_world_goes_on_from_a_file_bit_for_bit(world, saved):
     assert len(world.bodies()) == 3 and world.wanted_view is not None and str(path) in world.notice
     world.apply([cmd.Undo()])
     assert len(world.bodies()) == 1
+
+
+def test_a_state_of_version_1_is_read(saved, tmp_path):
+    """Its materials have no yield strain, and its bodies are as they were made."""
+    old = tmp_path / "old.h5"
+    shutil.copy(saved[0], old)
+    with h5py.File(old, "r+") as file:
+        file.attrs["version"] = 1
+        put(file, "bodies/material", file["bodies/material"][:, :-1])
+        del file["rest_inverse"]
+    new, state = read_state(saved[0]), read_state(old)
+    assert state.rest_inverse is None and new.bodies[1].material.yield_strain == 0.01
+    assert [b.material for b in state.bodies] == [replace(b.material, yield_strain=None) for b in new.bodies]
 
 
 def test_files_of_the_user_are_found_from_any_folder(tmp_path, monkeypatch):
@@ -263,6 +279,7 @@ def test_a_state_of_another_scene_or_other_files_changes_nothing(world, saved, t
         (replace(state, assets=(state.assets[0], ("ring_blue", "0"))), "another ring_blue"),
         (replace(state, settings=replace(state.settings, light=None)), "another scene"),
         (replace(state, bodies=(replace(state.bodies[0], vertices=4), *state.bodies[1:])), "vertices"),
+        (replace(state, rest_inverse=1.1 * state.rest_inverse), "rest_inverse"),
         (replace(state, bodies=(replace(state.bodies[0], source=40), *state.bodies[1:])), "names body 40"),
     ):
         with pytest.raises(BadInput, match=says):

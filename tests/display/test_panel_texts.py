@@ -45,6 +45,8 @@ def test_rigid_bodies_have_only_the_sliders_that_mean_something():
         return [slider.name for slider in material_sliders(world, 0)]
 
     assert names() == ["stiffness", "density", "friction", "damping"]
+    world.stuff = MATERIALS["clay"], "clay"
+    assert names() == ["stiffness", "density", "friction", "damping", "yields at"]
     world.stuff = world.stuff[0], "rigid"
     assert names() == ["density", "friction"]
 

@@ -73,7 +73,7 @@ class PlasticFlow:
     def warm_up(self) -> None:
         """Compile, see Solver.warm_up."""
         self._run()
-        self.elasticity.rest_inverse.to_numpy()
+        self._write([self.elasticity.rest_inverse.to_numpy()])
 
     @ti.kernel
     def _run(self):

@@ -97,6 +97,8 @@ def test_nothing_is_compiled_in_the_midst_of_play(play):
         assert len(play.world.bodies()) == 4
         for commands in ([cmd.Rescale(None, 0.8)], [cmd.SetMaterial(0, "plush")], [cmd.Undo()], [cmd.Remove(0)]):
             play.frame(*commands)
+        for commands in ([cmd.SetMaterial(0, "clay")], [cmd.Duplicate(None)], [cmd.Undo()]):
+            play.frame(*commands)
         play.frame(cmd.SetMaterial(0, "wood"))
         assert play.world.stats()["integrator"] == "vbd"
         play.frame(cmd.SetLight(play.scene.light), cmd.SetGravity((0.0, -1.6, 0.0)), cmd.SetTimeScale(0.5))

@@ -28,8 +28,8 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_885, "assets": 5_040, "scenes": 2_220, "sim": 10_860, "render": 3_505, "prepare": 14_900,
-    "display": 13_765, "commands": 4_505, "bench": 3_440, "installer": 200, "tests": 36_170,
+    "core": 2_895, "assets": 5_040, "scenes": 2_220, "sim": 10_945, "render": 3_505, "prepare": 14_900,
+    "display": 13_765, "commands": 4_505, "bench": 3_440, "installer": 200, "tests": 36_260,
 }  # fmt: skip
 MOST_FILES = 308  # of the product
 

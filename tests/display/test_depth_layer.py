@@ -38,7 +38,7 @@ def test_the_alpha_byte_is_the_depth_of_what_is_seen(ti_cpu):
     cameras = [perspective(WIDTH, HEIGHT, 0.9, look_at((x, 0, 0), (x, 0, -1))) for x in (0.0, 0.05)]
     deep = Renderer(Splats(gaussians), WIDTH, HEIGHT, views=2, outputs="deep", background=(0.2, 0.4, 0.6))
     deep.render(cameras)
-    rgb, alpha, z, doubts = render_stereo(gaussians, cameras)
+    rgb, alpha, z, doubts = render_stereo(gaussians, cameras, least=0.0)
     solid = alpha >= MIN_SURFACE_ALPHA
     assert 0.3 < solid.mean() < 0.8 and (z[solid] < DEPTH_NEAR).any() and (z[solid] > 3).any()
     pixels = deep.pixels().astype(np.float64)

@@ -52,26 +52,29 @@ def colors_towards(g: Gaussians, d: np.ndarray, rotations=None) -> np.ndarray:
     return np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", sh_basis(d, g.sh.shape[1]), g.sh))
 
 
-def render_stereo(g: Gaussians, eyes: list[Camera], *, antialias=False, radial=False):
+def render_stereo(g: Gaussians, eyes: list[Camera], *, antialias=False, radial=False, least=1e-4):
     """rgb (V, H, W, 3), alpha, depth, doubts (V, H, W): one order for all eyes, the mean depth's, and one colour.
 
-    `radial`: the mean distance's order.
+    `radial`: the mean distance's order; `least` as in `render`.
     """
     cov = covariances(g)
     depths = [g.means @ eye.world_to_camera[2, :3] + eye.world_to_camera[2, 3] for eye in eyes]
     if radial:
         depths = [np.linalg.norm(g.means.astype(np.float64) - eye.position, axis=1) for eye in eyes]
     d = g.means.astype(np.float64) - np.mean([eye.position for eye in eyes], axis=0)
-    shared = {"cov": cov, "order_by": np.mean(depths, axis=0), "rgb": colors_towards(g, d), "antialias": antialias}
+    shared = {"cov": cov, "order_by": np.mean(depths, axis=0), "rgb": colors_towards(g, d)}
+    shared |= {"antialias": antialias, "least": least}
     doubts = [np.zeros((eye.height, eye.width), bool) for eye in eyes]
     pictures = [render(g, eye, doubts=out, **shared) for eye, out in zip(eyes, doubts, strict=True)]
     return [np.stack(images) for images in zip(*pictures, strict=True)] + [np.stack(doubts)]
 
 
-def render(g: Gaussians, camera: Camera, *, antialias=False, cov=None, rgb=None, order_by=None, doubts=None):
-    """rgb (H, W, 3), alpha (H, W), depth (H, W).
+def render(
+    g: Gaussians, camera: Camera, *, antialias=False, cov=None, rgb=None, order_by=None, doubts=None, least=1e-4
+):
+    """rgb (H, W, 3), alpha (H, W), depth (H, W); a splat that would leave less transmittance than `least` ends a pixel.
 
-    Out: `doubts`, bool (H, W), where rounding to float32 may fall on the other side of a threshold, 1/255 or 1e-4.
+    Out: `doubts`, bool (H, W), where rounding to float32 may fall on the other side of a threshold, 1/255 or `least`.
     """
     cov = covariances(g) if cov is None else cov
     rgb = colors(g, camera) if rgb is None else rgb
@@ -86,9 +89,9 @@ def render(g: Gaussians, camera: Camera, *, antialias=False, cov=None, rgb=None,
         alpha = np.minimum(0.999, opacity[i] * np.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy)))
         if doubts is not None:
             doubts |= ~done & (np.abs(255 * alpha - 1) < DOUBT)
-            doubts |= ~done & (alpha >= 1 / 255) & (np.abs(1e4 * T * (1 - alpha) - 1) < 10 * DOUBT)  # a product of many
+            doubts |= ~done & (alpha >= 1 / 255) & (np.abs(T * (1 - alpha) - least) < 10 * DOUBT * least)  # of many
         alpha[(alpha < 1 / 255) | done] = 0
-        done |= (alpha > 0) & (T * (1 - alpha) <= 1e-4)
+        done |= (alpha > 0) & (T * (1 - alpha) <= least)
         weight = np.where(done, 0, alpha * T)
         T = np.where(done, T, T * (1 - alpha))
         C += weight[..., None] * rgb[i]

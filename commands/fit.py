@@ -8,14 +8,14 @@ import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import cv2
 import numpy as np
 import scipy.sparse as sp
 
 from assets.asset import Asset
-from assets.camera_file import read_cameras
+from assets.camera_file import read_cameras, write_cameras
 from assets.file_access import atomic_write, check_writable
 from assets.library import default_material, find_asset
 from commands import options as cli
@@ -30,23 +30,28 @@ if TYPE_CHECKING:
     from display.drawn_body import DrawnBody
     from prepare.fit.clip_masks import Clip
     from prepare.fit.marker_tracks import MarkerTracks
+    from prepare.fit.register import CapturedPlace
 
 GRAVITY = np.array([0.0, -9.81, 0.0])  # [m/s^2] of the world that a clip's camera stands in
-CLIP_STEPS = ("masks", "pose", "tracks")  # of the progress, before those of a fit
+CLIP_STEPS = ("masks", "camera", "pose", "tracks")  # of the progress, before those of a fit
+STILLS = 24  # pictures of a clip whose median shows what stands still
 MARKED = 4  # pictures of a clip that are shown to be marked
-VIDEO_ONLY = ("--camera", "--marks", "--part", "--fps", "--plane", "--release", "--preview")
+VIDEO_ONLY = ("--camera", "--capture", "--marks", "--part", "--fps", "--plane", "--release", "--preview")
+CAMERA, Angle = cli.OneOf(), Annotated[float, cli.within(1, 170, "an angle of 1 to 170 degrees")]
 
 
 @dataclass(kw_only=True)
 class FitOptions(cli.Options):
     EXAMPLES = (
         "fit bear.h5 clip.mp4 --camera cam.json --marks marks.json --out fitted.h5 --report fit.html",
+        "fit ROOM/objects/bear.h5 clip.mp4 --capture PHOTOGRAPHS --out fitted.h5    the camera is found",
         "fit box.h5 clip.mp4 --camera c.json --marks m.json --plane 0.42 0.91 0 0 --out fitted.h5    down a board",
         "fit bear.h5 --from-trajectory points.npz --out fitted.h5 --report fit.html",
         "fit bear.h5 --from-trajectory points.npz --out fitted.h5 --density 85",
     )
     CONDITIONS = (
         cli.Condition(VIDEO_ONLY, lambda o: o.from_trajectory is None, "belongs to a video"),
+        cli.Condition(("--fov",), lambda o: o.capture, "belongs to --capture"),
         cli.Condition(("--preview",), lambda o: o.report, "needs --report, which it writes"),
     )
 
@@ -55,7 +60,16 @@ class FitOptions(cli.Options):
         "VIDEO", "one to four seconds of the thing, from a camera that stands still", None
     )
     from_trajectory: Path | None = cli.option("POINTS.npz", "in place of a video: tracked markers (docs/formats.md)")
-    camera: Path | None = cli.option("CAM.json", "the video's camera in a world with +y up [m], as of `render`")
+    camera: Path | None = cli.option(
+        "CAM.json", "the video's camera in a world with +y up [m], as of `render`", one_of=CAMERA
+    )
+    capture: Path | None = cli.option(
+        "CAPTURE",
+        f"find the camera by photographs of the place ({cli.CAPTURES}); the world of --plane is then the room that "
+        "`capture` made of them, if ASSET is of that room, else the photographs', turned to +y up",
+        one_of=CAMERA,
+    )
+    fov: Angle | None = cli.option("DEG", "vertical field of view of the video, where it is known [degrees]")
     marks: Path | None = cli.option(
         "MARKS.json",
         'strokes and boxes on the thing in frame_0000 and others, boxes of "held" around what stands still; by default '
@@ -102,7 +116,8 @@ def fit(options: FitOptions) -> None:
         start_taichi(options.arch)
         progress = StepProgress(STEPS)
     else:
-        progress = StepProgress(CLIP_STEPS if options.preview else CLIP_STEPS + STEPS)
+        steps = tuple(step for step in CLIP_STEPS if options.capture or step != "camera")
+        progress = StepProgress(steps if options.preview else steps + STEPS)
         filmed = FilmedThing(options, asset, progress, how)
         tracks, kept = filmed.tracks, filmed.kept
         if options.preview:
@@ -128,8 +143,8 @@ def check_files(options: FitOptions) -> Path:
     """The file that is fitted, video or tracks. Raises BadInput for options that do not go together."""
     if (options.video is None) == (options.from_trajectory is None):
         raise BadInput("give either a VIDEO or --from-trajectory POINTS.npz")
-    if options.video is not None and not options.camera:
-        raise BadInput(f"{options.video}: needs --camera CAM.json (docs/your_own.md)")
+    if options.video is not None and not (options.camera or options.capture):
+        raise BadInput(f"{options.video}: needs --camera CAM.json, or --capture CAPTURE to find it (docs/your_own.md)")
     if options.part is not None and not 0 <= options.part[0] < options.part[1]:
         raise BadInput("--part BEGIN END: BEGIN is 0 or more, and before END")
     if not options.release > 0:
@@ -138,12 +153,17 @@ def check_files(options: FitOptions) -> Path:
         raise BadInput(f"{options.out}: an asset's name ends in .h5")
     if options.report and options.report.suffix.lower() != ".html":
         raise BadInput(f"{options.report}: a report's name ends in .html")
-    for file in filter(None, (options.out, options.report)):
+    for file in filter(None, (options.out, options.report, options.capture and camera_file(options))):
         check_writable(file)
     for file in filter(None, (options.video, options.camera, options.marks, options.from_trajectory)):
         if not file.is_file():
             raise BadInput(f"{file}: no such file")
     return options.video or options.from_trajectory
+
+
+def camera_file(options: FitOptions) -> Path:
+    """The file of a camera that is found: beside the fitted asset."""
+    return options.out.with_suffix(".camera.json")
 
 
 def write_page(path: Path, page: str) -> None:
@@ -175,6 +195,7 @@ class FilmedThing:
         from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks
         from prepare.fit.clip_tracks import ALIGNED_SIDE, clip_tracks
         from prepare.fit.marker_tracks import MarkerTracks
+        from prepare.fit.register import CapturedPlace
         from prepare.progress import Checkpoints
 
         planes = np.array(options.plane, float).reshape(-1, 4)
@@ -182,23 +203,27 @@ class FilmedThing:
         if not (np.isfinite(planes).all() and (lengths > 1e-9).all()):
             raise BadInput("--plane: the normal of a plane is zero, or a number is not finite")
         self.clip: Clip = read_clip(options.video, options.part, options.fps)
-        given, size = read_cameras(options.camera)[0], self.clip.size
-        if abs(given.width / given.height - size[0] / size[1]) > 0.01:
+        size, given = self.clip.size, read_cameras(options.camera)[0] if options.camera else None
+        shown = (given.width, given.height) if given else self.clip.filmed
+        if given is None:
+            place = CapturedPlace.of(options.capture, find_asset(options.asset))
+            how["capture"] = place.key
+        elif abs(given.width / given.height - size[0] / size[1]) > 0.01:
             raise BadInput(
                 f"{options.camera}: is of pictures of {given.width}x{given.height}, which have another shape than"
                 f" {options.video}"
             )
-        self.camera: Camera = given.resized(*size)
-        place = options.marks or options.video.with_suffix(".marks.json")
-        if not place.is_file():
-            mark_clip(self.clip, (given.width, given.height), place)
-        marks, held = read_clip_marks(place, self.clip, (given.width, given.height))
-        how |= {name: repr(getattr(options, name)) for name in ("part", "fps", "plane", "release")}
-        how |= {str(file): file.read_text(encoding="utf-8") for file in (options.camera, place)}
+        strokes = options.marks or options.video.with_suffix(".marks.json")
+        if not strokes.is_file():
+            mark_clip(self.clip, shown, strokes)
+        marks, held = read_clip_marks(strokes, self.clip, shown)
+        how |= {name: repr(getattr(options, name)) for name in ("part", "fps", "plane", "release", "fov")}
+        how |= {str(file): file.read_text(encoding="utf-8") for file in filter(None, (options.camera, strokes))}
         self.kept = Checkpoints(options.video, how)
         keep = self.kept.step
         self.masks = keep("masks", lambda: {"m": clip_masks(self.clip, marks, lambda d: progress("masks", d))})["m"]
         progress("masks", 1.0)
+        self.camera: Camera = given.resized(*size) if given else self.found_camera(options, place, progress)
         start_taichi(options.arch)
         self.drawn: DrawnBody = DrawnBody(asset, *(max(n, ALIGNED_SIDE) for n in size))
         blank = MarkerTracks(
@@ -213,6 +238,25 @@ class FilmedThing:
         arrays = keep("tracks", make)
         progress("tracks", 1.0)
         self.tracks: MarkerTracks = replace(blank, **{**arrays, "metres": float(arrays["metres"])})
+
+    def found_camera(self, options: FitOptions, place: CapturedPlace, progress) -> Camera:
+        """The clip's camera, found by what stands still in it, printed and written. Raises BadInput."""
+        from prepare.fit.clip_masks import backdrop_of
+
+        def make() -> dict[str, np.ndarray]:
+            step = -(-len(self.masks) // STILLS)
+            still = backdrop_of(self.clip.pictures[::step], self.masks[::step])
+            found = place.found_camera(still, str(options.video), options.fov, lambda d: progress("camera", d))
+            camera, line = found.camera, np.array(found.described())
+            return {"pose": camera.world_to_camera, "focal": np.array(camera.fx), "line": line}
+
+        kept, (width, height) = self.kept.step("camera", make), self.clip.size
+        focal = float(kept["focal"])
+        camera = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, kept["pose"])
+        write_cameras(camera_file(options), [camera.resized(*self.clip.filmed)])
+        progress.close()
+        print(f"{kept['line']}; wrote {camera_file(options)}")
+        return camera
 
     def sections(self) -> list[Section]:
         """Masks and tracks in some pictures, and the body as it was found in the first, for the report."""

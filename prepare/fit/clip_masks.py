@@ -23,12 +23,14 @@ WARPED_BLUR = 2.0  # [px] of a mask that the flow has carried
 
 @dataclass(frozen=True)
 class Clip:
-    """Pictures (F, H, W, 3) uint8 at times (F,) [s] from the first; `first`: that one's number in the file."""
+    """Pictures (F, H, W, 3) uint8 at times (F,) [s] from the first; `first`: that one's number in the file, whose
+    pictures have the size `filmed`, (width, height) [px]."""
 
     pictures: np.ndarray
     times: np.ndarray
     first: int
     where: str
+    filmed: tuple[int, int] = (0, 0)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -56,7 +58,8 @@ def read_clip(path: Path, part: tuple[float, float] | None = None, fps: float | 
             break
         if len(pictures) == MOST_FRAMES:
             raise BadInput(f"{path}: more than {MOST_FRAMES} pictures; --part BEGIN END takes a part of it")
-        scale = LONGEST_SIDE / max(picture.shape[:2])
+        filmed = picture.shape[1::-1]
+        scale = LONGEST_SIDE / max(filmed)
         if scale < 1.0:
             picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         pictures.append(picture[..., ::-1])
@@ -69,7 +72,7 @@ def read_clip(path: Path, part: tuple[float, float] | None = None, fps: float | 
     seconds = np.array(times)
     if (np.diff(seconds) <= 0).any():  # a container without times
         seconds = np.arange(len(pictures)) / rate
-    return Clip(np.stack(pictures), seconds - seconds[0], first, str(path))
+    return Clip(np.stack(pictures), seconds - seconds[0], first, str(path), filmed)
 
 
 def read_clip_marks(path: Path, clip: Clip, full: tuple[int, int]) -> tuple[dict[int, ViewMarks], np.ndarray]:

@@ -30,8 +30,8 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "segment": "--help --marks --out",
     "bench": "--help --arch --json",
     "figures": "--help --arch --capture --out --quick",
-    "fit": "--help --from-trajectory --camera --marks --part --fps --plane --release --out --report --preview --density"
-    " --arch",
+    "fit": "--help --from-trajectory --camera --capture --marks --part --fps --plane --release --out --report --preview"
+    " --density --arch",
     "tune": "--help --arch --height --json --material --out --young",
     "materials": "--help",
     "check": "--help --arch --json --quick",
@@ -75,6 +75,7 @@ REFUSED = [  # for each condition a command line, and what is said about the opt
     ("inpaint a --remove b --out c.ply --capture c --reduce 2", "--reduce belongs to --truth"),
     ("segment c --marks m.json --out m --arch cpu", "--arch belongs to --splats"),
     ("segment a.ply --marks m.json --out m --reduce 2", "--reduce is for a capture"),
+    ("fit a.h5 b.mp4 --out c.h5 --camera d.json --fov 40", "--fov belongs to --capture"),
     ("tune a --young 1e4 --from 1e3", "--from is for moduli that --young does not list"),
     ("study s.h5 --form --out p.csv", "--out is for the comparison"),
     ("study s.h5 --form --answers a.json", "--answers and --form do not go together"),

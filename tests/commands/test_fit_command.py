@@ -12,6 +12,7 @@ from commands.parser import parse
 from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import boundary_surface
+from prepare.fit.register import FoundCamera
 from tests.support.filmed_block import (
     FPS,
     FRAMES,
@@ -23,6 +24,7 @@ from tests.support.filmed_block import (
     stiffer,
     write_film,
 )
+from tests.support.painted_capture import write_capture
 from tests.support.samples import random_gaussians, tet_bar
 
 LENGTH, SIDE, YOUNG, DENSITY, DAMPING = 0.24, 0.03, 2.5e4, 250.0, 1.5
@@ -125,6 +127,26 @@ def test_a_preview_shows_where_the_thing_is_and_fits_nothing(filmed, tmp_path, c
     run(VIDEO.format(f=filmed, t=tmp_path) + f" --preview --report {tmp_path}/r.html")
 
 
+def test_a_camera_that_is_found_is_written_to_be_given_again(filmed, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    write_capture(tmp_path / "c")
+    pages = [f" --preview --report {tmp_path}/{name}.html" for name in "abc"]
+    words = VIDEO.format(f=filmed, t=tmp_path)
+    by_capture = words.replace(f"--camera {filmed}/camera.json", f"--capture {tmp_path}/c")
+    with pytest.raises(BadInput, match=r"clip\.mp4: the clip shows too little of what .*/c shows"):
+        run(by_capture + pages[0])
+    found = FoundCamera(camera_of(), 40, 50, 0.5, 0.2)
+    monkeypatch.setattr("prepare.fit.register.CapturedPlace.found_camera", lambda *_: found)
+    run(by_capture + pages[0])
+    monkeypatch.setattr("prepare.fit.register.CapturedPlace.found_camera", None)  # what was found is kept
+    run(by_capture + pages[1])
+    said = "camera: vertical field of view 32.00 ± 0.20 degrees; 40 of 50 points agree, to 0.50 px; wrote "
+    assert capsys.readouterr().out.count(f"{said}{tmp_path}/o.camera.json\n") == 2
+    run(words.replace(f"{filmed}/camera.json", f"{tmp_path}/o.camera.json") + pages[2])
+    a, b, c = ((tmp_path / f"{name}.html").read_text() for name in "abc")
+    assert a == b == c
+
+
 def test_without_marks_pictures_are_shown_to_be_marked(filmed, tmp_path, monkeypatch):
     """A window's marks, which are saved beside the video for the next time."""
     shutil.copy(filmed / "clip.mp4", tmp_path / "c.mp4")
@@ -161,7 +183,7 @@ def test_the_material_of_a_block_is_found_from_a_film(filmed, tmp_path, capsys, 
     ("words", "said"),
     [
         ("fit {f}/block.h5 --out {t}/o.h5", "give either a VIDEO or --from-trajectory"),
-        (VIDEO.replace(" --camera {f}/camera.json", ""), "needs --camera CAM.json"),
+        (VIDEO.replace(" --camera {f}/camera.json", ""), "needs --camera CAM.json, or --capture"),
         (VIDEO.replace(" --marks {f}/marks.json", ""), "no display to mark objects on: --marks MARKS.json"),
         (VIDEO + " --preview", "--preview needs --report"),
         (VIDEO + " --plane 0 0 0 1", "the normal of a plane is zero"),

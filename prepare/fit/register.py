@@ -1,0 +1,219 @@
+"""The camera of a clip, found from photographs of the same place whose poses are known.
+
+A feature of the picture that photographs show from apart is a point in space, and the camera is the one in which most
+of these points are where the picture has them: three of them and a focal length give a pose (RANSAC), all that agree
+give pose and focal length (least squares). The lens is straight, and its axis goes through the middle of the picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from assets.room_folder import RoomManifest, is_room_folder, read_room
+from core.camera import Camera
+from core.errors import BadInput
+from prepare.fit.clip_masks import LONGEST_SIDE
+from prepare.room_capture.stages import file_key
+from prepare.train.capture import Capture
+from prepare.train.capture_files import checked, read_capture, read_colmap, reader_of
+from prepare.train.photographs import image_size, load_photograph
+from prepare.train.structure_from_motion import FEATURES_MAX, VIDEOS
+
+DISTINCT = 0.8  # of the distance to the second-best descriptor (Lowe 2004)
+VIEWS = 20  # photographs that share most features with the picture; each pair of them may give a point
+APART = np.cos(np.radians(2.0))  # of rays that cross: half a pixel moves the crossing by 2% of its distance then
+OFF = 3.0  # [px] from where a point is seen: several times the noise of features in compressed pictures
+FEWEST = 16  # points that agree: four always do, and of wrong ones hardly another four by chance
+FOCALS = np.geomspace(0.4, 4.0, 24)  # longest sides of the picture (103 to 14 degrees); OFF bears half a step
+ROUNDS = 5  # of least squares over the points that agree, which then are others
+
+
+@dataclass(frozen=True)
+class FoundCamera:
+    """A camera; `agree` of `points` are where it sees them, to `residual` [px]; `error`: a standard deviation [degrees]
+    of its vertical field of view."""
+
+    camera: Camera
+    agree: int
+    points: int
+    residual: float
+    error: float
+
+    def described(self) -> str:
+        """A line for the user."""
+        high = 2 * np.degrees(np.arctan(0.5 * self.camera.height / self.camera.fy))
+        fit = f"{self.agree} of {self.points} points agree, to {self.residual:.2f} px"
+        return f"camera: vertical field of view {high:.2f} ± {self.error:.2f} degrees; {fit}"
+
+
+@dataclass(frozen=True)
+class CapturedPlace:
+    """A capture, +y up, and the room that was made of it, or None."""
+
+    capture: Capture
+    room: RoomManifest | None
+
+    @classmethod
+    def of(cls, path: Path, asset: Path) -> CapturedPlace:
+        """The capture of a path, and the room that holds the asset. Raises BadInput.
+
+        Photographs without poses, and a video, have those that were found as the room was made.
+        """
+        folder = asset.resolve().parent.parent  # of ROOM/objects/NAME.h5
+        room = read_room(folder) if is_room_folder(folder) else None
+        poses, is_video = folder / "work" / "poses" / "sparse", path.suffix.lower() in VIDEOS
+        if room and poses.is_dir() and (is_video or reader_of(path) is None):
+            capture = checked(read_colmap(poses, folder / "work" / "frames" if is_video else path))
+        else:
+            capture = read_capture(path)
+        place = cls(capture.upright(), room)
+        if room:
+            ours = [place.placed(camera).world_to_camera for camera in place.capture.cameras()]
+            theirs = [camera.world_to_camera for camera in room.cameras]
+            if len(ours) != len(theirs) or not np.allclose(ours, theirs, atol=1e-3):
+                raise BadInput(f"{path}: is not the capture that {folder} was made of")
+        return place
+
+    @property
+    def key(self) -> str:
+        """A text that is another one after any change of what a camera is found by."""
+        views = [(file_key(v.image), v.lens, v.world_to_camera.tolist()) for v in self.capture.views]
+        return repr((views, self.room and self.room.room_from_capture.tolist()))
+
+    def placed(self, camera: Camera) -> Camera:
+        """A camera of the capture in the room [m]; the same where there is none."""
+        if self.room is None:
+            return camera
+        m = self.room.room_from_capture
+        scale = np.diag([*[np.cbrt(np.linalg.det(m[:3, :3]))] * 3, 1.0])
+        return replace(camera, world_to_camera=scale @ camera.world_to_camera @ np.linalg.inv(m))
+
+    def found_camera(self, picture: np.ndarray, where: str, fov: float | None = None, progress=lambda done: None):
+        """The FoundCamera of a picture (H, W, 3) uint8 of the place, in the room, or else in the capture.
+
+        where  names the picture in errors;   fov  vertical field of view [degrees], None: it is found. Raises BadInput.
+        """
+        places, seen, cameras = sightings(picture, self.capture, progress)
+        points = triangulated(seen, cameras)
+        known = np.isfinite(points).all(1)
+        found, count = camera_by(points[known], places[known], picture.shape[1::-1], fov), int(known.sum())
+        if found is None:
+            raise BadInput(
+                f"{where}: the clip shows too little of what {self.capture.folder} shows: {count} of {len(places)}"
+                f" features are found there, and fewer than {FEWEST} agree on a camera; film more of the place, or give"
+                " --camera"
+            )
+        return replace(found, camera=self.placed(found.camera))
+
+
+def features(pixels: np.ndarray, mask: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Places (N, 2) [px] of a picture's SIFT features, and unit descriptors (N, 128), roots of shares (RootSIFT)."""
+    found, rows = cv2.SIFT_create(FEATURES_MAX).detectAndCompute(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), mask)
+    rows = np.zeros((0, 128), np.float32) if rows is None else rows
+    return np.array([k.pt for k in found]).reshape(-1, 2) + 0.5, np.sqrt(rows / np.maximum(rows.sum(1)[:, None], 1e-9))
+
+
+def matched(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Row of `other` that each descriptor of `one` is like, both of each other and of no other; -1 for none."""
+    if len(one) == 0 or len(other) < 2:
+        return np.full(len(one), -1)
+    alike, rows = one @ other.T, np.arange(len(one))
+    best = alike.argmax(1)
+    mutual, first = alike.argmax(0)[best] == rows, alike[rows, best]
+    alike[rows, best] = -1.0
+    return np.where(mutual & (1 - first < DISTINCT**2 * (1 - alike.max(1))), best, -1)  # |a - b|^2 = 2 - 2 a b
+
+
+def sightings(picture: np.ndarray, capture: Capture, progress) -> tuple[np.ndarray, np.ndarray, list[Camera]]:
+    """Places (N, 2) [px] of a picture's features, where photographs show them (K, N, 2), NaN, and their K cameras."""
+    (places, ours), shown = features(picture), []
+    for k, view in enumerate(capture.views):
+        photograph = load_photograph(view, max(1, max(image_size(view.image)) // LONGEST_SIDE))
+        there, theirs = features(photograph.pixels, photograph.mask.astype(np.uint8))
+        to = matched(ours, theirs)
+        if (to >= 0).any():
+            shown.append((np.where(to[:, None] >= 0, there[to], np.nan), photograph.camera))
+            shown = sorted(shown, key=lambda s: -np.isfinite(s[0]).sum())[:VIEWS]
+        progress((k + 1) / len(capture.views))
+    return places, np.array([s for s, _ in shown]).reshape(-1, len(places), 2), [camera for _, camera in shown]
+
+
+def triangulated(seen: np.ndarray, cameras: list[Camera]) -> np.ndarray:
+    """Points (N, 3) that cameras see at `seen` (K, N, 2) [px], NaN where no two rays that are apart cross.
+
+    Two rays give a point, and all that pass it as the most of them do give the point that is nearest to these.
+    """
+    points, most = np.full((seen.shape[1], 3), np.nan), np.zeros(seen.shape[1], int)
+    if not cameras:
+        return points
+    rays = [np.stack([(s[:, 0] - c.cx) / c.fx, (s[:, 1] - c.cy) / c.fy, np.ones(len(s))], 1) @ c.world_to_camera[:3, :3]
+            for s, c in zip(seen, cameras, strict=True)]  # fmt: skip
+    rays = np.array(rays) / np.linalg.norm(rays, axis=2, keepdims=True)
+    across = np.nan_to_num(np.eye(3) - rays[..., :, None] * rays[..., None, :])  # times x - o: how far x is off the ray
+    aim = np.einsum("knij,kj->kni", across, [c.position for c in cameras])
+    chosen = np.zeros(seen.shape[:2], bool)
+    for a, b in combinations(range(len(cameras)), 2):
+        rows = np.flatnonzero((rays[a] * rays[b]).sum(1) < APART)  # NaN compares false
+        x = np.linalg.solve(across[a, rows] + across[b, rows], (aim[a, rows] + aim[b, rows])[..., None])[..., 0]
+        near = np.array([offsets(c, x, s[rows]) < OFF for c, s in zip(cameras, seen, strict=True)])
+        better = near[a] & near[b] & (near.sum(0) > most[rows])
+        most[rows[better]], chosen[:, rows[better]] = near.sum(0)[better], near[:, better]
+    rows = np.flatnonzero(most)
+    matrix = np.einsum("kn,knij->nij", chosen[:, rows], across[:, rows])
+    right = np.einsum("kn,kni->ni", chosen[:, rows], aim[:, rows])
+    points[rows] = np.linalg.solve(matrix, right[..., None])[..., 0]
+    return points
+
+
+def offsets(camera: Camera, points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Distance (N,) [px] of points (N, 3) from their places (N, 2) in the picture; inf behind the camera."""
+    x, y, depth = camera.projected(points)
+    return np.where(depth > 0, np.hypot(x - places[:, 0], y - places[:, 1]), np.inf)
+
+
+def camera_by(points: np.ndarray, places: np.ndarray, size: tuple[int, int], fov: float | None) -> FoundCamera | None:
+    """The camera by which most points (N, 3) are at their places (N, 2) [px] in a picture of a size; None: too few."""
+    (width, height), found = size, []
+    focals = FOCALS * max(size) if fov is None else [0.5 * height / np.tan(0.5 * np.radians(fov))]
+    for focal in focals if len(points) >= FEWEST else ():
+        lens = np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
+        how = {"iterationsCount": 1000, "reprojectionError": OFF, "flags": cv2.SOLVEPNP_AP3P}
+        good, turn, shift, _ = cv2.solvePnPRansac(points, places, lens, None, **how)
+        if good:
+            start = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, np.eye(4))
+            start = moved(start, np.r_[turn.ravel(), shift.ravel()])
+            found.append(refined(start, points, places, 7 if fov is None else 6))
+    return max(filter(None, found), key=lambda f: (f.agree, -f.residual), default=None)
+
+
+def moved(camera: Camera, by: np.ndarray) -> Camera:
+    """A camera whose frame is turned and shifted, by (6,), its focal length times exp(by[6]) if there are seven."""
+    step, focal = np.eye(4), camera.fx * np.exp(by[6:].sum())
+    step[:3, :3], step[:3, 3] = Rotation.from_rotvec(by[:3]).as_matrix(), by[3:6]
+    return replace(camera, fx=focal, fy=focal, world_to_camera=step @ camera.world_to_camera)
+
+
+def refined(camera: Camera, points: np.ndarray, places: np.ndarray, free: int) -> FoundCamera | None:
+    """The camera nearby that fits all points that agree with it; None if these are too few. free  numbers of `moved`"""
+
+    def residuals(by: np.ndarray, camera: Camera, use: np.ndarray) -> np.ndarray:
+        x, y, _ = moved(camera, by).projected(points[use])
+        return np.r_[x - places[use, 0], y - places[use, 1]]
+
+    for _ in range(ROUNDS):
+        use = offsets(camera, points, places) < OFF
+        if use.sum() < FEWEST:
+            return None
+        fit = least_squares(residuals, np.zeros(free), method="lm", x_scale="jac", args=(camera, use))
+        camera = moved(camera, fit.x)
+    deviation = np.sqrt(2 * fit.cost / (len(fit.fun) - free))  # of a coordinate [px]
+    high = 2 * np.arctan(0.5 * camera.height / camera.fy)
+    error = np.sin(high) * deviation * np.sqrt(np.linalg.inv(fit.jac.T @ fit.jac)[6:, 6:].sum())  # 0 if it is given
+    return FoundCamera(camera, int(use.sum()), len(points), float(np.sqrt(2) * deviation), float(np.degrees(error)))

@@ -27,11 +27,14 @@ from prepare.train.photographs import image_size, load_photograph
 from prepare.train.structure_from_motion import FEATURES_MAX, VIDEOS
 
 DISTINCT = 0.8  # of the distance to the second-best descriptor (Lowe 2004)
-VIEWS = 20  # photographs that share most features with the picture; each pair of them may give a point
+VIEWS = 12  # photographs that share most features with the picture; each pair of them takes time
 APART = np.cos(np.radians(2.0))  # of rays that cross: half a pixel moves the crossing by 2% of its distance then
 OFF = 3.0  # [px] from where a point is seen: several times the noise of features in compressed pictures
-FEWEST = 16  # points that agree: four always do, and of wrong ones hardly another four by chance
-FOCALS = np.geomspace(0.4, 4.0, 24)  # longest sides of the picture (103 to 14 degrees); OFF bears half a step
+FEWEST = (
+    16  # points that agree: four always do; of other places' photographs at most twelve points were had, none agreed
+)
+SURE = 0.03  # most standard error of a field of view, relative to it: three times as much are real errors
+FOCALS = np.geomspace(0.4, 4.0, 8)  # longest sides of the picture (103 to 14 degrees); least squares go on from there
 ROUNDS = 5  # of least squares over the points that agree, which then are others
 
 
@@ -46,11 +49,15 @@ class FoundCamera:
     residual: float
     error: float
 
+    @property
+    def fov(self) -> float:
+        """Vertical field of view [degrees]."""
+        return 2 * float(np.degrees(np.arctan(0.5 * self.camera.height / self.camera.fy)))
+
     def described(self) -> str:
         """A line for the user."""
-        high = 2 * np.degrees(np.arctan(0.5 * self.camera.height / self.camera.fy))
         fit = f"{self.agree} of {self.points} points agree, to {self.residual:.2f} px"
-        return f"camera: vertical field of view {high:.2f} ± {self.error:.2f} degrees; {fit}"
+        return f"camera: vertical field of view {self.fov:.2f} ± {self.error:.2f} degrees; {fit}"
 
 
 @dataclass(frozen=True)
@@ -110,6 +117,8 @@ class CapturedPlace:
                 f" features are found there, and fewer than {FEWEST} agree on a camera; film more of the place, or give"
                 " --camera"
             )
+        if found.error > SURE * found.fov:
+            raise BadInput(f"{where}: its field of view is not sure ({found.described()}): give --fov")
         return replace(found, camera=self.placed(found.camera))
 
 
@@ -121,14 +130,14 @@ def features(pixels: np.ndarray, mask: np.ndarray | None = None) -> tuple[np.nda
 
 
 def matched(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Row of `other` that each descriptor of `one` is like, both of each other and of no other; -1 for none."""
+    """Row of `other` that each descriptor of `one` is like, and no other is; -1 for none."""
     if len(one) == 0 or len(other) < 2:
         return np.full(len(one), -1)
     alike, rows = one @ other.T, np.arange(len(one))
     best = alike.argmax(1)
-    mutual, first = alike.argmax(0)[best] == rows, alike[rows, best]
+    first = alike[rows, best]
     alike[rows, best] = -1.0
-    return np.where(mutual & (1 - first < DISTINCT**2 * (1 - alike.max(1))), best, -1)  # |a - b|^2 = 2 - 2 a b
+    return np.where(1 - first < DISTINCT**2 * (1 - alike.max(1)), best, -1)  # |a - b|^2 = 2 - 2 a b
 
 
 def sightings(picture: np.ndarray, capture: Capture, progress) -> tuple[np.ndarray, np.ndarray, list[Camera]]:
@@ -137,12 +146,11 @@ def sightings(picture: np.ndarray, capture: Capture, progress) -> tuple[np.ndarr
     for k, view in enumerate(capture.views):
         photograph = load_photograph(view, max(1, max(image_size(view.image)) // LONGEST_SIDE))
         there, theirs = features(photograph.pixels, photograph.mask.astype(np.uint8))
-        to = matched(ours, theirs)
-        if (to >= 0).any():
-            shown.append((np.where(to[:, None] >= 0, there[to], np.nan), photograph.camera))
-            shown = sorted(shown, key=lambda s: -np.isfinite(s[0]).sum())[:VIEWS]
+        to, at = matched(ours, theirs), np.full(places.shape, np.nan)
+        at[to >= 0] = there[to[to >= 0]]
+        shown = sorted([*shown, (at, photograph.camera)], key=lambda s: -np.isfinite(s[0]).sum())[:VIEWS]
         progress((k + 1) / len(capture.views))
-    return places, np.array([s for s, _ in shown]).reshape(-1, len(places), 2), [camera for _, camera in shown]
+    return places, np.array([at for at, _ in shown]), [camera for _, camera in shown]
 
 
 def triangulated(seen: np.ndarray, cameras: list[Camera]) -> np.ndarray:
@@ -151,8 +159,6 @@ def triangulated(seen: np.ndarray, cameras: list[Camera]) -> np.ndarray:
     Two rays give a point, and all that pass it as the most of them do give the point that is nearest to these.
     """
     points, most = np.full((seen.shape[1], 3), np.nan), np.zeros(seen.shape[1], int)
-    if not cameras:
-        return points
     rays = [np.stack([(s[:, 0] - c.cx) / c.fx, (s[:, 1] - c.cy) / c.fy, np.ones(len(s))], 1) @ c.world_to_camera[:3, :3]
             for s, c in zip(seen, cameras, strict=True)]  # fmt: skip
     rays = np.array(rays) / np.linalg.norm(rays, axis=2, keepdims=True)
@@ -214,6 +220,6 @@ def refined(camera: Camera, points: np.ndarray, places: np.ndarray, free: int) -
         fit = least_squares(residuals, np.zeros(free), method="lm", x_scale="jac", args=(camera, use))
         camera = moved(camera, fit.x)
     deviation = np.sqrt(2 * fit.cost / (len(fit.fun) - free))  # of a coordinate [px]
-    high = 2 * np.arctan(0.5 * camera.height / camera.fy)
-    error = np.sin(high) * deviation * np.sqrt(np.linalg.inv(fit.jac.T @ fit.jac)[6:, 6:].sum())  # 0 if it is given
-    return FoundCamera(camera, int(use.sum()), len(points), float(np.sqrt(2) * deviation), float(np.degrees(error)))
+    found = FoundCamera(camera, int(use.sum()), len(points), float(np.sqrt(2) * deviation), 0.0)
+    error = deviation * np.sqrt(np.linalg.inv(fit.jac.T @ fit.jac)[6:, 6:].sum())  # of the log of the focal length
+    return replace(found, error=float(np.degrees(np.sin(np.radians(found.fov)) * error)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from assets.asset import Asset, Cage
-from assets.camera_file import write_cameras
+from assets.camera_file import read_cameras, write_cameras
 from commands.marking import state_of
 from commands.parser import parse
 from core.errors import BadInput
@@ -16,6 +16,7 @@ from prepare.fit.register import FoundCamera
 from tests.support.filmed_block import (
     FPS,
     FRAMES,
+    PIXELS,
     TRUE,
     camera_of,
     let_go,
@@ -130,21 +131,20 @@ def test_a_preview_shows_where_the_thing_is_and_fits_nothing(filmed, tmp_path, c
 def test_a_camera_that_is_found_is_written_to_be_given_again(filmed, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
     write_capture(tmp_path / "c")
-    pages = [f" --preview --report {tmp_path}/{name}.html" for name in "abc"]
-    words = VIDEO.format(f=filmed, t=tmp_path)
-    by_capture = words.replace(f"--camera {filmed}/camera.json", f"--capture {tmp_path}/c")
+    words = VIDEO.replace("--camera {f}/camera.json", "--capture {t}/c") + " --preview --report {t}/r.html"
+    words = words.format(f=filmed, t=tmp_path)
     with pytest.raises(BadInput, match=r"clip\.mp4: the clip shows too little of what .*/c shows"):
-        run(by_capture + pages[0])
+        run(words)
     found = FoundCamera(camera_of(), 40, 50, 0.5, 0.2)
     monkeypatch.setattr("prepare.fit.register.CapturedPlace.found_camera", lambda *_: found)
-    run(by_capture + pages[0])
+    run(words)
     monkeypatch.setattr("prepare.fit.register.CapturedPlace.found_camera", None)  # what was found is kept
-    run(by_capture + pages[1])
+    run(words)
     said = "camera: vertical field of view 32.00 ± 0.20 degrees; 40 of 50 points agree, to 0.50 px; wrote "
     assert capsys.readouterr().out.count(f"{said}{tmp_path}/o.camera.json\n") == 2
-    run(words.replace(f"{filmed}/camera.json", f"{tmp_path}/o.camera.json") + pages[2])
-    a, b, c = ((tmp_path / f"{name}.html").read_text() for name in "abc")
-    assert a == b == c
+    written = read_cameras(tmp_path / "o.camera.json")[0]
+    np.testing.assert_allclose(written.world_to_camera, camera_of().world_to_camera)
+    assert (written.width, written.height, written.fx) == (*PIXELS, camera_of().fx)
 
 
 def test_without_marks_pictures_are_shown_to_be_marked(filmed, tmp_path, monkeypatch):

@@ -10,11 +10,17 @@ from scipy.spatial.transform import Rotation
 from assets.room_folder import RoomManifest, RoomObject, write_room
 from core.camera import look_at, perspective
 from core.errors import BadInput
-from prepare.fit.register import CapturedPlace
+from prepare.fit.register import CapturedPlace, matched
 from tests.support import patterned_room as made
 
 NO_ROOM = made.Path("bear.h5")
-TRUE = perspective(480, 360, np.radians(41), look_at((0.5, 1.1, 1.6), (-0.5, 0.6, -1.2)))
+MIDDLE, TOWARDS = np.array([-0.5, 0.6, -1.2]), np.array([0.4, 0.25, 0.88])
+
+
+def true_camera(fov=41.0):
+    """A camera with a field of view [degrees], as far away as it shows the same."""
+    away = 0.5 / np.tan(0.5 * np.radians(fov))
+    return perspective(480, 360, np.radians(fov), look_at(MIDDLE + 2.2 * away * TOWARDS, MIDDLE))
 
 
 def thing(low, size=0.35):
@@ -34,24 +40,20 @@ def place(folder):
     return CapturedPlace.of(folder, NO_ROOM)
 
 
-@pytest.fixture(scope="module")
-def picture():
-    """The clip's: the thing is in front and hides a part, and there is noise."""
-    shown = made.photographed([*made.corner_of_a_room(1), *thing((0.1, 0.4, 0.3))], TRUE)
-    return (shown + 2 * np.random.default_rng(0).normal(size=shown.shape)).clip(0, 255).astype(np.uint8)
-
-
-@pytest.mark.parametrize("fov", [None, 41.0])
-def test_pose_and_focal_length_are_found(place, picture, fov):
-    found = place.found_camera(picture, "clip", fov)
-    first, camera = made.cameras()[0], found.camera
-    between = camera.world_to_camera @ np.linalg.inv(place.capture.cameras()[0].world_to_camera)
-    off = between @ np.linalg.inv(TRUE.world_to_camera @ np.linalg.inv(first.world_to_camera))
+@pytest.mark.parametrize(("fov", "given"), [(20.0, None), (41.0, None), (85.0, None), (41.0, 41.0)])
+def test_pose_and_focal_length_are_found(place, fov, given):
+    """The thing is in front and hides a part; there is noise."""
+    true = true_camera(fov)
+    shown = made.photographed([*made.corner_of_a_room(1), *thing(MIDDLE + 0.5 * TOWARDS - [0, 0.3, 0])], true)
+    noise = 2 * np.random.default_rng(0).normal(size=shown.shape)
+    found = place.found_camera((shown + noise).clip(0, 255).astype(np.uint8), "clip", given)
+    camera, (first, there) = found.camera, (made.cameras()[0], place.capture.cameras()[0])
+    between = camera.world_to_camera @ np.linalg.inv(there.world_to_camera)
+    off = between @ np.linalg.inv(true.world_to_camera @ np.linalg.inv(first.world_to_camera))
     assert np.degrees(Rotation.from_matrix(off[:3, :3]).magnitude()) < 0.5
-    assert np.linalg.norm(off[:3, 3]) < 0.01 * 3.0  # the distance of what it looks at
-    assert_allclose([camera.fx, camera.fy], TRUE.fx, rtol=0.02)
-    high = 2 * np.degrees(np.arctan(0.5 * camera.height / camera.fy))
-    assert abs(high - 41) < 4 * found.error + 1e-9 and found.error < (0.5 if fov is None else 1e-9)
+    assert np.linalg.norm(off[:3, 3]) < 0.01 * np.linalg.norm(true.position - MIDDLE)
+    assert_allclose([camera.fx, camera.fy], true.fx, rtol=0.02)
+    assert abs(found.fov - fov) < 4 * found.error + 1e-9 and (found.error > 0) == (given is None)
     assert found.agree > 60 and found.residual < 1.5 and f"{found.agree} of" in found.described()
     assert camera.world_to_camera[1, 1] < -0.8  # upright
 
@@ -59,8 +61,21 @@ def test_pose_and_focal_length_are_found(place, picture, fov):
 @pytest.mark.parametrize("shown", [made.corner_of_a_room(2), []], ids=["another room", "nothing"])
 def test_another_place_is_refused_in_one_line(place, shown):
     with pytest.raises(BadInput, match=r"clip: the clip shows too little of what .* \d+ of \d+ features") as e:
-        place.found_camera(made.photographed(shown, TRUE), "clip")
+        place.found_camera(made.photographed(shown, true_camera()), "clip")
     assert "\n" not in str(e.value)
+
+
+def test_a_wall_seen_from_the_front_does_not_show_how_far_away_it_is(place):
+    front = perspective(480, 360, np.radians(30), look_at((-0.2, 1.5, 1.5), (-0.2, 1.5, -2)))
+    picture = made.photographed(made.corner_of_a_room(1)[:1], front)
+    with pytest.raises(BadInput, match=r"clip: its field of view is not sure .* give --fov"):
+        place.found_camera(picture, "clip")
+    assert place.found_camera(picture, "clip", 30.0).agree > 60
+
+
+def test_a_feature_that_is_like_two_others_is_not_matched():
+    rows = np.eye(4, 128)
+    assert matched(rows[:3], np.concatenate([rows, rows[:1]])).tolist() == [-1, 1, 2]
 
 
 def test_a_camera_is_placed_in_the_room_of_the_asset(folder, place, tmp_path):
@@ -77,8 +92,8 @@ def test_a_camera_is_placed_in_the_room_of_the_asset(folder, place, tmp_path):
     write_room(tmp_path, room)
     found = CapturedPlace.of(folder, tmp_path / "objects/bear.h5")
     x = np.random.default_rng(0).uniform(-1, 1, (20, 3))
-    u, v, depth = found.placed(TRUE).projected(x @ matrix[:3, :3].T + matrix[:3, 3])
-    assert_allclose([u, v, depth / 0.4], TRUE.projected(x))
+    u, v, depth = found.placed(true_camera()).projected(x @ matrix[:3, :3].T + matrix[:3, 3])
+    assert_allclose([u, v, depth / 0.4], true_camera().projected(x))
     write_room(tmp_path, replace(room, cameras=room.cameras[::-1]))
     with pytest.raises(BadInput, match=r"is not the capture that .* was made of"):
         CapturedPlace.of(folder, tmp_path / "objects/bear.h5")

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from assets.room_folder import RoomManifest, RoomObject, write_room
 from core.camera import look_at, perspective
 from core.errors import BadInput
+from core.rotation import quaternions_from_matrices
 from prepare.fit.register import CapturedPlace, matched
 from tests.support import patterned_room as made
 
@@ -73,9 +74,22 @@ def test_a_wall_seen_from_the_front_does_not_show_how_far_away_it_is(place):
     assert place.found_camera(picture, "clip", 30.0).agree > 60
 
 
-def test_a_feature_that_is_like_two_others_is_not_matched():
-    rows = np.eye(4, 128)
-    assert matched(rows[:3], np.concatenate([rows, rows[:1]])).tolist() == [-1, 1, 2]
+def test_a_feature_that_is_as_like_to_another_is_not_matched():
+    """Descriptors at angles [rad] from its own, to two sides."""
+    for one, other, row in ((0.3, 0.5, 0), (0.45, 0.5, -1)):
+        two = np.array([[np.cos(one), np.sin(one), 0.0], [np.cos(other), 0.0, np.sin(other)]])
+        assert matched(np.eye(1, 3), two).tolist() == [row]
+
+
+def write_poses(model):
+    """The poses as `capture` keeps those that it has found."""
+    model.mkdir(parents=True)
+    c, rows = made.cameras()[0], []
+    (model / "cameras.txt").write_text(f"1 PINHOLE {c.width} {c.height} {c.fx} {c.fy} {c.cx} {c.cy}\n")
+    for k, camera in enumerate(made.cameras()):
+        pose = [*quaternions_from_matrices(camera.world_to_camera[:3, :3]), *camera.world_to_camera[:3, 3]]
+        rows.append(f"{k} {' '.join(map(str, pose))} 1 {k:02}.png\n\n")
+    (model / "images.txt").write_text("".join(rows))
 
 
 def test_a_camera_is_placed_in_the_room_of_the_asset(folder, place, tmp_path):
@@ -94,6 +108,9 @@ def test_a_camera_is_placed_in_the_room_of_the_asset(folder, place, tmp_path):
     x = np.random.default_rng(0).uniform(-1, 1, (20, 3))
     u, v, depth = found.placed(true_camera()).projected(x @ matrix[:3, :3].T + matrix[:3, 3])
     assert_allclose([u, v, depth / 0.4], true_camera().projected(x))
+    write_poses(tmp_path / "work/poses/sparse")
+    kept = CapturedPlace.of(folder / "images", tmp_path / "objects/bear.h5")  # which has no poses of its own
+    assert_allclose(kept.capture.views[3].world_to_camera, place.capture.views[3].world_to_camera, atol=1e-9)
     write_room(tmp_path, replace(room, cameras=room.cameras[::-1]))
     with pytest.raises(BadInput, match=r"is not the capture that .* was made of"):
         CapturedPlace.of(folder, tmp_path / "objects/bear.h5")

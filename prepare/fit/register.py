@@ -31,9 +31,7 @@ VIEWS = 12  # photographs that share most features with the picture; each pair o
 APART = np.cos(np.radians(2.0))  # of rays that cross: half a pixel moves the crossing by 2% of its distance then
 OFF = 3.0  # [px] from where a point is seen: several times the deviation of those that agree
 FEWEST = 16  # points that agree: four always do; with photographs of other places there were at most twelve points
-SURE = (
-    0.03  # most standard error of a field of view, relative to it; it is by the points alone: the truth is farther off
-)
+SURE = 0.03  # most standard error of a field of view, relative to it: by the points alone, the truth is farther off
 FOCALS = np.geomspace(0.4, 4.0, 8)  # longest sides of the picture (103 to 14 degrees); least squares go on from there
 ROUNDS = 5  # of least squares over the points that agree, which then are others
 

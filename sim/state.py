@@ -8,7 +8,7 @@ smaller than one unit in the last place of a position:
     commit    v += dt g + (dx - dx_predicted) / dt,   y = dt v + x_lo,   x' = x + y,   x_lo = y - (x' - x)
 
 The stress is evaluated at x + share dx - lag v. With share = 1, lag = 0 the methods are implicit Euler or like it:
-vibrations of w rad/s lose energy at the rate w^2 dt, and a spinning body its spin, whatever the material. With
+vibrations of w rad/s lose energy at the rate w^2 dt, and in XPBD a spinning body its spin, whatever the material. With
 share = beta, lag = beta dt they keep energy and momenta: XPBD's single sweep is symplectic Euler then, VBD the Newmark
 scheme of this beta and gamma = 1/2. Between, the Kelvin-Voigt time of the inner friction is share dt - lag.
 

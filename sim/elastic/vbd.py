@@ -18,7 +18,7 @@ whole as well (sim/elastic/whole_bodies.py), which keeps momentum, and along its
     sweep     colour by colour; after each vertex its static contacts, in the metric of H (sim/contact/response.py)
     phases    impulses push the target; dx itself moves by effective_inv_mass/w of that, which is tr(H^-1)/(3 dt^2);
               before them bodies move as wholes
-    modes     bodies move as wholes; the modal correction
+    modes     the modal correction; bodies move as wholes, last, since modes of a strained body have a spin
     end       commit
 """
 
@@ -240,7 +240,7 @@ class VBDSubsteps:
             balance = self.whole.kernel()
             if self.in_pairs:
                 phases = [[balance, *p] for p in phases]
-            modal = [balance, *modal]
+            modal = [*modal, balance]
             self.kernels = self._begin(), self._sweep(), phases, modal, self._end()
         begin, sweep, phases, modal, end = self.kernels
         colors, graph = range(self.colors), Graph()

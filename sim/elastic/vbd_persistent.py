@@ -128,20 +128,17 @@ class PersistentVBD:
 
     @ti.func
     def _turn(self, thread, ends, begins):
-        """End a substep, begin the next one: shorten the last step, commit, predict; and the moments for rotations."""
+        """End a substep, begin the next one: commit, predict; and the moments for rotations."""
         s, m = self.state, self.modal
         j, lane = self.grid.warp_index(thread), thread % self.grid.warp
         while j < m.blocks.begin[s.body_count[None]]:
             span = m.blocks.span[j]
             if not s.asleep[span[2]]:
-                kept = 1.0
-                if ends:
-                    kept = m.shortening(span[2], lane)
                 i = span[0] + lane
                 while i < span[1]:
                     predicted = s.dx_predicted[i]
                     if ends:
-                        predicted = self.descent.end(i, s.dx[i] + (kept - 1.0) * m.step[i])
+                        predicted = self.descent.end(i, s.dx[i])
                     if begins:
                         self.descent.begin(i, predicted)
                     i += self.grid.warp
@@ -175,10 +172,7 @@ class PersistentVBD:
             if paired:
                 passed = self._balance(thread, passed)
                 passed = self._pairs(thread, passed, sweep == self.iterations - 1)
-                if sweep < self.iterations - 1:
-                    self._stage(thread, mine, several, ALL_COLORS, points, words)
-        passed = self._balance(thread, passed)
-        self._stage(thread, mine, several, ALL_COLORS, points, words)
+                self._stage(thread, mine, several, ALL_COLORS, points, words)
         return passed
 
     @ti.func
@@ -201,7 +195,7 @@ class PersistentVBD:
 
     @ti.func
     def _correct(self, thread, rounds, mine, several, colors, points: ti.template(), words: ti.template()):
-        """The step along the modes, and its measure, which `_turn` shortens it by. Returns as `meet`."""
+        """The step along the modes, shortened, and then that of whole bodies. Returns as `meet`."""
         s, passed = self.state, rounds
         for trial in range(2):  # the residual before the step, then after it
             k = 0
@@ -226,7 +220,8 @@ class PersistentVBD:
             else:
                 self._each_block(thread, self.modal.sum_products)
                 passed = self.grid.meet(thread, passed, s.substep_index, 1)
-        return passed
+        self._each_block(thread, self._shorten)
+        return self._balance(thread, passed)
 
     @ti.func
     def _each_block(self, thread, step: ti.template()):
@@ -256,6 +251,16 @@ class PersistentVBD:
         i = span[0] + lane
         while i < span[1]:
             m.move(i, b)
+            i += self.grid.warp
+
+    @ti.func
+    def _shorten(self, j, lane):
+        """Keep of the step of block j what its body may. Each lane sums in `_balance` what it has written itself."""
+        m, span = self.modal, self.modal.blocks.span[j]
+        kept = m.shortening(span[2], lane)
+        i = span[0] + lane
+        while i < span[1]:
+            self.state.dx[i] += (kept - 1.0) * m.step[i]
             i += self.grid.warp
 
     @ti.func

@@ -241,7 +241,7 @@ def test_both_integrators_move_a_bar_alike(bars):
 
 
 def test_a_stiff_body_falls_and_spins_as_a_whole(bars):
-    """1e8 Pa: its momentum stays, and its spin is lost by no more than the implicit step takes."""
+    """1e8 Pa: its momentum and its spin stay, of which the implicit step alone would take 4%."""
     omega, k = 10.0, 3
     bars.gravity = (0.0, 0.0, 0.0)
     start, m = np.concatenate([p.body.start() for p in bars.body_models]), bars.body_models[k].body.masses()
@@ -260,9 +260,7 @@ def test_a_stiff_body_falls_and_spins_as_a_whole(bars):
         r = x - np.average(x, axis=0, weights=m)
         return m @ np.cross(r, u - m @ u / m.sum())[:, 2]
 
-    expected = np.exp(-(omega**2) * bars.stats["dt"] * 0.5)
-    # half as much again as the formula's: the sweeps leave a part of each step's centrifugal stretch undone
-    assert 1 - 1.6 * (1 - expected) < spin(x, u) / spin(start[mine], v[mine]) < expected + 2e-3
+    assert_allclose(spin(x, u), spin(start[mine], v[mine]), rtol=1e-4)
     bars.gravity = (0.0, -G, 0.0)
     bars.reset()
     run(bars, 0.2)
@@ -308,6 +306,23 @@ def test_runs_on_several_threads_repeat_bit_for_bit(ti_cpu, integrator, young):
     assert np.abs(runs[0]["x"] - x).max() > 1e-4
     for name in ("x", "v", "x_lo", "v_lo"):
         assert_array_equal(runs[0][name], runs[1][name])
+
+
+def test_a_body_that_springs_back_in_flight_neither_drifts_nor_turns(ti_cpu):
+    """From 0.7 of its height. Modes are orthogonal to a rotation only at rest: it once turned by 7 mrad/s."""
+    x, tets, surface = box((0.1, 0.1, 0.1), (3, 3, 3))
+    solver = Solver(
+        [SoftBody("cube", x, tets, surface, Material(3e5, 0.45, 1700.0))], gravity=(0, 0, 0), integrator="vbd"
+    )
+    solver.restore({"x": x * [0.7**-0.5, 0.7, 0.7**-0.5], "v": 0 * x})
+    m = solver.body_models[0].mass[:, None]
+    for _ in range(20):
+        solver.step(DT)
+    q = solver.snapshot()
+    r = q["x"].astype(np.float64) - np.average(q["x"], 0, m[:, 0])
+    assert np.ptp(r[:, 1]) > 0.098
+    assert np.linalg.norm((m * q["v"]).sum(0)) < 1e-6 * m.sum()
+    assert np.linalg.norm((m * np.cross(r, q["v"])).sum(0)) < 1e-5 * (m * r**2).sum()
 
 
 YOUNG, POISSON = (1e2, 1e3, 1e5, 1e8), (0.0, 0.3, 0.49)

@@ -34,7 +34,20 @@ assert MAX_SLOTS <= NO_SLOT and MAX_BODIES <= 1 << (32 - 2 * SLOT_BITS)
 
 
 @ti.data_oriented
-class Patches:
+class RestShapes:
+    """Copies of the rest shapes of the tets that patches hold: `gradient` of `tet`, by `elasticity`."""
+
+    @ti.kernel
+    def take_rest_shapes(self):
+        """D_m^-1 of the tets as plastic flow has left them."""
+        for k in self.tet:
+            B = self.elasticity.rest_inverse[self.tet[k]]
+            for c in ti.static(range(9)):
+                self.gradient[c][k] = B[c // 3, c % 3]
+
+
+@ti.data_oriented
+class Patches(RestShapes):
     """Tables of the patches. Fields over tets of patches are one scalar each: neighbouring threads read neighbours.
 
     local i32[]: vertices of each patch, its own ones first, local_begin i32[P+1]; own_end i32[P] in `local`
@@ -81,14 +94,6 @@ class Patches:
         local = t["local"], t["slot_begin"], t["slot_end"], t["local_begin"], t["own_end"], t["tet_begin"]
         self._upload([*local, [len(t["own_end"])], *words, tets])
         self.take_rest_shapes()
-
-    @ti.kernel
-    def take_rest_shapes(self):
-        """D_m^-1 of the tets as they are now."""
-        for k in self.tet:
-            B = self.elasticity.rest_inverse[self.tet[k]]
-            for c in ti.static(range(9)):
-                self.gradient[c][k] = B[c // 3, c % 3]
 
     @ti.func
     def publish(self, i, x, v, dx, parity):
@@ -302,7 +307,7 @@ assert PLACES <= 1 << INDEX_BITS and 8 * POINTS + 4 * WORDS <= 48 << 10
 
 
 @ti.data_oriented
-class ColorPatches:
+class ColorPatches(RestShapes):
     """Tables of the patches. Fields over slots are one scalar each. Place `at` of vertex k of resident patch r is
     r PLACES + k.
 
@@ -349,14 +354,6 @@ class ColorPatches:
             self._upload([*local, *colors_begin, [len(t["own_end"])], *words, t["tet"]])
             self.colors, self._tables = t["colors"], t
         self.take_rest_shapes()
-
-    @ti.kernel
-    def take_rest_shapes(self):
-        """D_m^-1 of each slot's tet as they are now."""
-        for slot in self.tet:
-            B = self.elasticity.rest_inverse[self.tet[slot]]
-            for c in ti.static(range(9)):
-                self.gradient[c][slot] = B[c // 3, c % 3]
 
     @ti.func
     def list_awake(self):

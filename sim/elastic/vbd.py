@@ -7,9 +7,9 @@ vertex, so for that vertex alone the energy is a quadratic, and its minimum is m
 
 where F is that of s dx - lag v (sim/state.py), b the gradient of the vertex's shape function at rest, and c =
 cof(F) b. H is positive definite whatever F is, so every update lowers the energy. Vertices of one colour share no tet
-and are moved at the same time. Few sweeps bring a push only a few rings of tets far. So after them each body moves as a
-whole as well (sim/elastic/whole_bodies.py), which keeps momentum, and along its softest modes
-(sim/elastic/modal_correction.py).
+and are moved at the same time. Few sweeps bring a push only a few rings of tets far. So after them each body moves
+along its softest modes (sim/elastic/modal_correction.py), and as a whole (sim/elastic/whole_bodies.py), which keeps
+momentum.
 
     begin     dx = dt v + dt^2 a + x_lo, a = the last acceleration, its part along gravity brought into [0, |g|]
               (Sec. 3.6), then that across into the ball of diameter g: what floors and slopes leave of g. What rests

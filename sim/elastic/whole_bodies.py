@@ -1,8 +1,8 @@
 """Soft bodies as wholes in VBD: what contact moves at once, and the momentum that it gives.
 
-A few sweeps over vertices do not tell a stiff body of a push. So after them, and between them while bodies are near one
-another, each body moves rigidly to where its momentum is what inertia, the impulses of other bodies and the forces R_i
-of static shapes want:
+A few sweeps over vertices do not tell a stiff body of a push. So at the end of a substep, and between the sweeps while
+bodies are near one another, each moves rigidly to where its momentum is what inertia, the impulses of other bodies and
+the forces R_i of static shapes want:
 
     sum_i m_i (e_i - u_i') + dt^2 (R_i - K_i u_i) = 0, and the same of its moments,   e_i = target_i - dx_i
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from assets.asset import Asset
 from assets.camera_file import write_cameras
@@ -41,6 +42,7 @@ class FilmedToy:
     bend     [m] by which a free body is bent at the start
     tilt     [degrees] of the board that it slides down; None: there is none
     turn     [degrees] about the vertical;   before  [s] that have passed when the film begins
+    shake    [px] by which the hand that holds the camera turns it to each side
     """
 
     asset: str
@@ -55,10 +57,12 @@ class FilmedToy:
     turn: float = 0.0
     before: float = 0.0
     seconds: float = 1.0
+    shake: float = 0.0
 
 
 CLIPS = {
     "rabbit_hung": FilmedToy("rabbit", 5e3, 3.0, held=0.25, push=(0.5, 0.0, 0.25), turn=25.0),
+    "rabbit_by_hand": FilmedToy("rabbit", 5e3, 3.0, held=0.25, push=(0.5, 0.0, 0.25), turn=25.0, shake=6.0),
     "cat_hung": FilmedToy("toy_cat", 1.5e4, 6.0, held=0.2, push=(1.6, 0.0, 0.6), turn=-20.0),
     "teddy_hung": FilmedToy("toy_teddy", 8e3, 4.0, held=0.3, push=(0.9, 0.0, 0.3), turn=15.0),
     "penguin_hung": FilmedToy("toy_penguin", 3e4, 3.0, held=0.25, push=(1.8, 0.0, 0.5), turn=-35.0),
@@ -93,11 +97,12 @@ def film_toy(name: str, folder: Path, report: Callable[[str], None], *, size=(48
     alphas = []
     for k in range(count):
         exposures = []
-        for x in moving[k * EXPOSURES : (k + 1) * EXPOSURES]:
-            drawn.move(x)
-            exposures.append(drawn.picture(camera))
-        alpha = np.mean([a for _, a, _ in exposures], 0)
-        picture = np.mean([rgb for rgb, _, _ in exposures], 0) + (1 - alpha[..., None]) * background
+        for j in range(k * EXPOSURES, (k + 1) * EXPOSURES):
+            turned, behind = shaken(camera, background, clip.shake, times[j])
+            drawn.move(moving[j])
+            rgb, alpha, _ = drawn.picture(turned)
+            exposures.append((rgb + (1 - alpha[..., None]) * behind, alpha))
+        picture, alpha = (np.mean(parts, 0) for parts in zip(*exposures, strict=True))
         picture = cv2.GaussianBlur(picture, (0, 0), LENS_BLUR) + NOISE * rng.normal(size=picture.shape)
         video.write((picture.clip(0, 1) * 255 + 0.5).astype(np.uint8))
         alphas.append(alpha > 0.5)
@@ -145,6 +150,19 @@ def camera_for(moving: np.ndarray, size: tuple[int, int]) -> Camera:
     away = 1.3 * max(high[1] - low[1], (high[0] - low[0]) * size[1] / size[0]) + (high[2] - low[2]) / 2
     eye = middle + away * np.array([0.12, 0.16, 1.0])
     return perspective(*size, np.radians(50), look_at(eye, middle))
+
+
+def shaken(camera: Camera, behind: np.ndarray, shake: float, time: float) -> tuple[Camera, np.ndarray]:
+    """The camera, turned by a hand at a time [s], by `shake` [px] to each side and as much about its axis; what it sees
+    behind, of what it saw at the start."""
+    angles = (np.sin(2 * np.pi * np.array([3.1, 2.3, 1.7]) * time + [0, 1, 2]) - np.sin([0, 1, 2])) * shake / camera.fx
+    frame = np.eye(4)
+    frame[:3, :3] = Rotation.from_rotvec(angles).as_matrix()
+    lens = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
+    move = lens @ frame[:3, :3] @ np.linalg.inv(lens)
+    how = {"flags": cv2.INTER_CUBIC, "borderMode": cv2.BORDER_REFLECT}
+    seen = cv2.warpPerspective(behind, move, (camera.width, camera.height), **how) if shake else behind
+    return replace(camera, world_to_camera=frame @ camera.world_to_camera), seen
 
 
 def backdrop(camera: Camera, rng: np.random.Generator) -> np.ndarray:

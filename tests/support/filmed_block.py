@@ -58,17 +58,24 @@ def camera_of() -> Camera:
     return perspective(*PIXELS, np.radians(32), look_at(middle + [-0.06, 0.12, 0.36], middle))
 
 
-def filmed(asset: Asset, moving: np.ndarray, camera: Camera, seed: int = 0) -> np.ndarray:
-    """Pictures (F, H, W, 3) uint8 of the block over a mottled wall, with noise. Taichi must be running."""
+def filmed(asset: Asset, moving: np.ndarray, camera: Camera, seed: int = 0, turns: np.ndarray | None = None):
+    """Pictures (F, H, W, 3) uint8 of the block over a mottled wall, with noise. Taichi must be running.
+
+    turns  (F, 3, 3) of the camera's frame in each picture; None: it stands still
+    """
     rng, drawn = np.random.default_rng(seed), DrawnBody(asset, camera.width, camera.height)
     coarse = rng.normal(size=(camera.height // 12, camera.width // 12, 1)).astype(np.float32)
     wall = 120 + 12 * cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
     wall = np.repeat(wall[..., None], 3, 2)
     pictures = []
-    for x in moving:
+    lens = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
+    for x, turn in zip(moving, np.tile(np.eye(3), (len(moving), 1, 1)) if turns is None else turns, strict=True):
         drawn.move(x)
-        noise = 1.5 * rng.normal(size=wall.shape)
-        pictures.append((drawn.over(wall, camera) + noise).clip(0, 255).astype(np.uint8))
+        noise, frame = 1.5 * rng.normal(size=wall.shape), np.eye(4)
+        frame[:3, :3] = turn
+        behind = cv2.warpPerspective(wall, lens @ turn @ np.linalg.inv(lens), PIXELS, borderMode=cv2.BORDER_REFLECT)
+        seen = drawn.over(behind, replace(camera, world_to_camera=frame @ camera.world_to_camera))
+        pictures.append((seen + noise).clip(0, 255).astype(np.uint8))
     drawn.destroy()
     return np.stack(pictures)
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from prepare.fit.register import CapturedPlace
 
 GRAVITY = np.array([0.0, -9.81, 0.0])  # [m/s^2] of the world that a clip's camera stands in
-CLIP_STEPS = ("masks", "camera", "pose", "tracks")  # of the progress, before those of a fit
+CLIP_STEPS = ("masks", "shake", "camera", "pose", "tracks")  # of the progress, before those of a fit
 STILLS = 24  # pictures of a clip whose median shows what stands still
 MARKED = 4  # pictures of a clip that are shown to be marked
 VIDEO_ONLY = ("--camera", "--capture", "--marks", "--part", "--fps", "--plane", "--release", "--preview")
@@ -57,7 +57,7 @@ class FitOptions(cli.Options):
 
     asset: str = cli.argument("ASSET", "a prepared asset, or a shipped one by name")
     video: Path | None = cli.argument(
-        "VIDEO", "one to four seconds of the thing, from a camera that stands still", None
+        "VIDEO", "one to four seconds of the thing, from a camera that stands still or is held in a hand", None
     )
     from_trajectory: Path | None = cli.option("POINTS.npz", "in place of a video: tracked markers (docs/formats.md)")
     camera: Path | None = cli.option(
@@ -193,6 +193,7 @@ class FilmedThing:
     def __init__(self, options: FitOptions, asset: Asset, progress, how: dict[str, str]):
         from display.drawn_body import DrawnBody
         from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks
+        from prepare.fit.clip_shake import steadied
         from prepare.fit.clip_tracks import ALIGNED_SIDE, clip_tracks
         from prepare.fit.marker_tracks import MarkerTracks
         from prepare.fit.register import CapturedPlace
@@ -223,6 +224,8 @@ class FilmedThing:
         keep = self.kept.step
         self.masks = keep("masks", lambda: {"m": clip_masks(self.clip, marks, lambda d: progress("masks", d))})["m"]
         progress("masks", 1.0)
+        self.clip, self.masks, self.shake = steadied(self.clip, self.masks, lambda d: progress("shake", d))
+        progress("shake", 1.0)
         self.camera: Camera = given.resized(*size) if given else self.found_camera(options, place, progress)
         start_taichi(options.arch)
         self.drawn: DrawnBody = DrawnBody(asset, *(max(n, ALIGNED_SIDE) for n in size))
@@ -265,7 +268,7 @@ class FilmedThing:
         self.drawn.move(self.tracks.start)
         found = self.drawn.over(self.clip.pictures[0] // 2, self.camera)
         pictures = mask_pictures(self.clip, self.masks, self.tracks) | {"the asset as it was found at the start": found}
-        note = "Outlined: the mask. Dots: points of the surface that are followed."
+        note = f"Outlined: the mask. Dots: points of the surface that are followed. {self.shake}."
         return [Section("Where it is", pictures=pictures, note=note)]
 
     def films(self, motion: np.ndarray) -> Section:

@@ -160,8 +160,8 @@ def shaken(camera: Camera, behind: np.ndarray, shake: float, time: float) -> tup
     frame[:3, :3] = Rotation.from_rotvec(angles).as_matrix()
     lens = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
     move = lens @ frame[:3, :3] @ np.linalg.inv(lens)
-    how = {"flags": cv2.INTER_CUBIC, "borderMode": cv2.BORDER_REFLECT}
-    seen = cv2.warpPerspective(behind, move, (camera.width, camera.height), **how) if shake else behind
+    size, edge = (camera.width, camera.height), cv2.BORDER_REFLECT
+    seen = cv2.warpPerspective(behind, move, size, borderMode=edge) if shake else behind
     return replace(camera, world_to_camera=frame @ camera.world_to_camera), seen
 
 

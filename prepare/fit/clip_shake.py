@@ -15,11 +15,11 @@ from core.errors import BadInput
 from prepare.fit.clip_masks import Clip
 
 CORNERS, APART = 500, 8.0  # behind the thing, and the least distance [px] of two of them
-CORNER = 0.01  # of the clearest corner's strength
+CORNER = 0.001  # of the clearest corner's strength: one clear thing is not enough
 WINDOW = (21, 21)  # [px] of Lucas and Kanade; corners keep half of it from the mask
 BACK_AND_FORTH = 0.5  # [px] by which a corner, tracked to another picture and back, may be off
 OFF = 1.0  # [px] from where a homography leads: such a corner is of something that moves
-FEWEST = 24  # corners that agree on a homography, which are half of those tracked or more
+FEWEST = 24  # corners that agree on a homography
 STILL = 0.15  # [px]; several times the error of a homography
 FARTHEST = 0.1  # of the longest side: a place that is left so far does not stay the same one
 
@@ -59,33 +59,42 @@ def moved(places: np.ndarray, move: np.ndarray) -> np.ndarray:
 def camera_moves(clip: Clip, masks: np.ndarray, progress=lambda done: None) -> np.ndarray | None:
     """Homographies (F, 3, 3) of pixels from the first picture to each, by what is outside of the masks (F, H, W).
 
-    None where the first picture has too few corners there. Raises BadInput where the camera moves too far.
+    None where too little of that is found again in the second picture, as of a plain wall, whose corners are noise.
+    Raises BadInput where the camera moves too far, or what is behind is lost later.
     """
     grey = [cv2.cvtColor(p, cv2.COLOR_RGB2GRAY) for p in clip.pictures]
     behind = [cv2.erode((~m).astype(np.uint8), np.ones(WINDOW, np.uint8)) for m in masks]
     corners = cv2.goodFeaturesToTrack(grey[0], CORNERS, CORNER, APART, mask=behind[0], blockSize=7)
-    if corners is None or len(corners) < FEWEST:
-        return None
-    first, moves = corners[:, 0], [np.eye(3)]
+    first, moves = np.zeros((0, 2), np.float32) if corners is None else corners[:, 0], [np.eye(3)]
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
     how = {"winSize": WINDOW, "maxLevel": 2, "criteria": stop, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
     for k in range(1, len(grey)):
-        likely = moved(first, moves[-1]).astype(np.float32)
-        there, good, _ = cv2.calcOpticalFlowPyrLK(grey[0], grey[k], first, likely, **how)
-        back = cv2.calcOpticalFlowPyrLK(grey[k], grey[0], there, first + there - likely, **how)[0]
-        good = (good[:, 0] > 0) & (np.linalg.norm(back - first, axis=1) < BACK_AND_FORTH)
-        there_row, there_column = np.clip(there[:, ::-1].round().astype(int), 0, np.array(grey[0].shape) - 1).T
-        good &= behind[k][there_row, there_column] > 0
-        move, agree = None, np.zeros(0)
-        if good.sum() >= FEWEST:
-            move, agree = cv2.findHomography(first[good], there[good], cv2.RANSAC, OFF)
-        if move is None or agree.sum() < max(FEWEST, good.sum() / 2):
+        move, agree = None, np.zeros(len(first), bool)
+        if len(first) >= FEWEST:
+            likely = moved(first, moves[-1]).astype(np.float32)
+            there = cv2.calcOpticalFlowPyrLK(grey[0], grey[k], first, likely.copy(), **how)[0]
+            back = cv2.calcOpticalFlowPyrLK(grey[k], grey[0], there, first + there - likely, **how)[0]
+            column, row = np.clip(there.round().astype(int), 0, np.array(clip.size) - 1).T
+            good = (np.linalg.norm(back - first, axis=1) < BACK_AND_FORTH) & (behind[k][row, column] > 0)
+            if good.sum() >= FEWEST:
+                move, agree[good] = homography(first[good], there[good])
+        if agree.sum() < FEWEST:
+            if k == 1:
+                return None
             said = "what is behind the thing is not found again"
         elif shift_of(move, clip.size) > FARTHEST * max(clip.size):
-            said = f"the camera has moved by {shift_of(move, clip.size):.0f} px"
+            said = f"the camera has turned by {shift_of(move, clip.size):.0f} px"
         else:
+            first = first[agree] if k == 1 else first
             moves.append(move)
             progress((k + 1) / len(grey))
             continue
         raise BadInput(f"{clip.where}: frame_{clip.first + k:04d}: {said}; hold it still, or leave it out (--part)")
     return np.stack(moves)
+
+
+def homography(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+    """The homography (3, 3) by which most places (N, 2) lead to others, and which of them do (N,): none, unless half."""
+    move, agree = cv2.findHomography(one, other, cv2.RANSAC, OFF)
+    agree = np.zeros(len(one), bool) if move is None else agree[:, 0] > 0
+    return move, agree & (agree.mean() > 0.5)

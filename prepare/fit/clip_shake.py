@@ -18,7 +18,7 @@ CORNERS, APART = 500, 8.0  # behind the thing, and the least distance [px] of tw
 CORNER = 0.001  # of the clearest corner's strength: one clear thing is not enough
 WINDOW = (21, 21)  # [px] of Lucas and Kanade; corners keep half of it from the mask
 BACK_AND_FORTH = 0.5  # [px] by which a corner, tracked to another picture and back, may be off
-OFF = 1.0  # [px] from where a homography leads: such a corner is of something that moves
+OFF = 0.7  # [px] from where a homography leads: such a corner is of something that moves
 FEWEST = 24  # corners that agree on a homography
 STILL = 0.15  # [px]; several times the error of a homography
 FARTHEST = 0.1  # of the longest side: a place that is left so far does not stay the same one
@@ -72,10 +72,10 @@ def camera_moves(clip: Clip, masks: np.ndarray, progress=lambda done: None) -> n
         move, agree = None, np.zeros(len(first), bool)
         if len(first) >= FEWEST:
             likely = moved(first, moves[-1]).astype(np.float32)
-            there = cv2.calcOpticalFlowPyrLK(grey[0], grey[k], first, likely.copy(), **how)[0]
+            there, found, _ = cv2.calcOpticalFlowPyrLK(grey[0], grey[k], first, likely.copy(), **how)
             back = cv2.calcOpticalFlowPyrLK(grey[k], grey[0], there, first + there - likely, **how)[0]
             column, row = np.clip(there.round().astype(int), 0, np.array(clip.size) - 1).T
-            good = (np.linalg.norm(back - first, axis=1) < BACK_AND_FORTH) & (behind[k][row, column] > 0)
+            good = (np.linalg.norm(back - first, axis=1) < BACK_AND_FORTH) & (behind[k][row, column] * found[:, 0] > 0)
             if good.sum() >= FEWEST:
                 move, agree[good] = homography(first[good], there[good])
         if agree.sum() < FEWEST:
@@ -94,7 +94,7 @@ def camera_moves(clip: Clip, masks: np.ndarray, progress=lambda done: None) -> n
 
 
 def homography(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
-    """The homography (3, 3) by which most places (N, 2) lead to others, and which of them do (N,): none, unless half."""
+    """The homography (3, 3) by which most places (N, 2) lead to others, and which do, (N,): none, unless half."""
     move, agree = cv2.findHomography(one, other, cv2.RANSAC, OFF)
     agree = np.zeros(len(one), bool) if move is None else agree[:, 0] > 0
     return move, agree & (agree.mean() > 0.5)

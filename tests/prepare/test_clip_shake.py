@@ -1,6 +1,6 @@
 """Shake of a camera in a hand is taken out of a clip; one that stands still is left alone, one that goes is refused."""
 
-from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from core.errors import BadInput
 from prepare.fit.clip_masks import Clip, clip_masks
-from prepare.fit.clip_shake import FEWEST, camera_moves, moved, steadied
+from prepare.fit.clip_shake import camera_moves, moved, shift_of, steadied
 from prepare.fit.clip_tracks import tracked
 from tests.support.filmed_block import FPS, FRAMES, PIXELS, TRUE, camera_of, filmed, let_go, marks_of, speckled_block
 
@@ -18,9 +18,9 @@ GRID = np.stack(np.meshgrid(np.linspace(0, PIXELS[0], 5), np.linspace(0, PIXELS[
 
 
 def turns_of(pixels: float) -> np.ndarray:
-    """Turns (F, 3, 3) of a hand that sways, by as many pixels to each side and by a third of that angle about the axis."""
+    """Turns (F, 3, 3) of a hand that sways, by as many pixels to each side, and about the axis by the same angle."""
     t = TIMES[:, None]
-    angles = np.sin(2 * np.pi * t * [3.1, 2.3, 1.7] + [0, 1, 2]) * pixels / camera_of().fx * [1, 1, 1.0]
+    angles = np.sin(2 * np.pi * t * [3.1, 2.3, 1.7] + [0, 1, 2]) * pixels / camera_of().fx
     return Rotation.from_rotvec(angles - angles[0]).as_matrix()
 
 
@@ -31,36 +31,87 @@ def maps_of(turns: np.ndarray) -> np.ndarray:
     return lens @ turns @ np.linalg.inv(lens)
 
 
+def steps_off(moves: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """How far homographies (F, 3, 3) are from the true ones, over the picture (F,) [px]."""
+    return np.array(
+        [np.sqrt(((moved(GRID, a) - moved(GRID, b)) ** 2).mean()) for a, b in zip(moves, true, strict=True)]
+    )
+
+
 @pytest.fixture(scope="module")
 def take(ti_cpu):
-    """Makes the clip by a shake [px] and a seed of the noise, and its masks."""
+    """Makes the clip of a block by a shake [px], and its masks in the first picture's place."""
     block = speckled_block(TRUE)
     moving = let_go(block, TIMES)
 
-    def made(pixels: float, seed: int = 0) -> tuple[Clip, np.ndarray]:
-        clip = Clip(filmed(block, moving, camera_of(), seed, turns_of(pixels)), TIMES, 0, "clip")
+    @cache
+    def made(pixels: float) -> tuple[Clip, np.ndarray]:
+        clip = Clip(filmed(block, moving, camera_of(), turns=turns_of(pixels)), TIMES, 0, "clip")
         return clip, clip_masks(clip, {0: marks_of(camera_of(), moving).objects["block"]["frame_0000"]})
 
     return made
 
 
-def test_probe(take):
+@pytest.mark.parametrize("pixels", [0.4, 4.0])
+def test_a_hand_s_shake_is_taken_out(take, pixels):
+    """Points of the thing are where a camera that stands still shows them."""
+    (still, where), (shaken, masks) = take(0.0), take(pixels)
+    true = maps_of(turns_of(pixels))
+    assert 2 * pixels < max(np.linalg.norm(moved(GRID, m) - GRID, axis=1).max() for m in true)
+    assert steps_off(camera_moves(shaken, masks), true).max() < 0.25
+    clip, cut, line = steadied(shaken, masks)
+    assert (cut & where).sum() > 0.97 * (cut | where).sum() and line.endswith("px, taken out")
+    one, other, raw = (tracked(*c) for c in ((still, where), (clip, cut), (shaken, masks)))
+    off, before = (np.sqrt(np.nanmean((t - one) ** 2)) for t in (other, raw))
+    assert off < 0.1 and before > 3 * off
+    assert np.isfinite(other).mean() > np.isfinite(one).mean() - 0.05
+
+
+def test_a_clip_that_stands_still_stays_as_it_is(take):
     still, masks = take(0.0)
-    m = camera_moves(still, masks)
-    if m is not None:
-        off = [np.linalg.norm(moved(GRID, k) - GRID, axis=1).max() for k in m]
-        print("still", max(off), np.sqrt(np.mean(np.square(off))))
-    a = tracked(still, masks)
-    b0 = None
-    for px in (0.5, 2, 4.0):
-        clip, cm = take(px)
-        true = maps_of(turns_of(px))
-        m = camera_moves(clip, cm)
-        size = max(np.linalg.norm(moved(GRID, t) - GRID, axis=1).max() for t in true)
-        off = [np.linalg.norm(moved(GRID, k) - moved(GRID, t), axis=1).max() for k, t in zip(m, true)]
-        c, w, line = steadied(clip, cm)
-        b = tracked(c, w)
-        n = min(a.shape[1], b.shape[1])
-        d = (a[:, :n] - b[:, :n]) if np.allclose(a[0, :n], b[0, :n]) else None
-        print(px, size, max(off), line, d is not None and np.sqrt(np.nanmean(d**2)), (w & masks).sum() / (w | masks).sum(),
-              np.isfinite(a).mean(), np.isfinite(b).mean())
+    assert max(shift_of(m, PIXELS) for m in camera_moves(still, masks)) > 0.01  # what the noise makes
+    clip, cut, line = steadied(still, masks)
+    assert clip is still and cut is masks and line.startswith("shake: none")
+
+
+def wall(seed: int = 0, size=(240, 180)) -> np.ndarray:
+    grey = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=size[::-1]).astype(np.float32), (0, 0), 2.0)
+    return np.repeat((128 + 300 * grey).clip(0, 255).astype(np.uint8)[..., None], 3, 2)
+
+
+def clip_of(pictures) -> tuple[Clip, np.ndarray]:
+    pictures = np.stack(pictures)
+    return Clip(pictures, TIMES[: len(pictures)], 5, "clip"), np.zeros(pictures.shape[:3], bool)
+
+
+def slid(picture: np.ndarray, x: float) -> np.ndarray:
+    return cv2.warpAffine(picture, np.array([[1.0, 0, x - 40], [0, 1, -30]]), PIXELS)
+
+
+def test_what_passes_behind_does_not_count():
+    """A third of the picture goes another way than the rest."""
+    pictures = [slid(wall(), 0.7 * k) for k in range(12)]
+    for k, picture in enumerate(pictures):
+        picture[:, :50] = slid(wall(1), -4.0 * k)[:, :50]
+    moves = camera_moves(*clip_of(pictures))
+    true = np.tile(np.eye(3), (12, 1, 1))
+    true[:, 0, 2] = 0.7 * np.arange(12)
+    assert steps_off(moves, true).max() < 0.4
+
+
+def test_a_camera_that_goes_too_far_is_refused():
+    with pytest.raises(BadInput, match=r"clip: frame_0010: the camera has turned by 18 px; hold it still, or leave it"):
+        steadied(*clip_of([slid(wall(), 3.5 * k) for k in range(12)]))
+    with pytest.raises(BadInput, match="clip: frame_0009: what is behind the thing is not found again"):
+        steadied(*clip_of([slid(wall(k >= 4), 0.0) for k in range(12)]))
+
+
+@pytest.mark.parametrize("sticker", [False, True])
+def test_before_a_plain_wall_nothing_is_measured(sticker):
+    """Its corners are noise, also beside something clear."""
+    pictures = 120 + 1.5 * np.random.default_rng(0).normal(size=(12, *PIXELS[::-1], 3))
+    if sticker:
+        pictures[:, 5:9, 5:30] -= 100
+    plain, masks = clip_of(pictures.round().astype(np.uint8))
+    clip, cut, line = steadied(plain, masks)
+    assert clip is plain and cut is masks and line.startswith("shake: not measured")

@@ -226,6 +226,8 @@ class FilmedThing:
         progress("masks", 1.0)
         self.clip, self.masks, self.shake = steadied(self.clip, self.masks, lambda d: progress("shake", d))
         progress("shake", 1.0)
+        progress.close()
+        print(self.shake)
         self.camera: Camera = given.resized(*size) if given else self.found_camera(options, place, progress)
         start_taichi(options.arch)
         self.drawn: DrawnBody = DrawnBody(asset, *(max(n, ALIGNED_SIDE) for n in size))

@@ -20,6 +20,7 @@ WINDOW = (21, 21)  # [px] of Lucas and Kanade; corners keep half of it from the 
 BACK_AND_FORTH = 0.5  # [px] by which a corner, tracked to another picture and back, may be off
 OFF = 0.7  # [px] from where a homography leads: such a corner is of something that moves
 FEWEST = 24  # corners that agree on a homography
+SHARE = 0.25  # of the corners, found again in the second picture: of noise a tenth is, by chance
 STILL = 0.15  # [px]; several times the error of a homography
 FARTHEST = 0.1  # of the longest side: a place that is left so far does not stay the same one
 
@@ -78,9 +79,9 @@ def camera_moves(clip: Clip, masks: np.ndarray, progress=lambda done: None) -> n
             good = (np.linalg.norm(back - first, axis=1) < BACK_AND_FORTH) & (behind[k][row, column] * found[:, 0] > 0)
             if good.sum() >= FEWEST:
                 move, agree[good] = homography(first[good], there[good])
+        if k == 1 and agree.sum() < max(FEWEST, SHARE * len(first)):
+            return None
         if agree.sum() < FEWEST:
-            if k == 1:
-                return None
             said = "what is behind the thing is not found again"
         elif shift_of(move, clip.size) > FARTHEST * max(clip.size):
             said = f"the camera has turned by {shift_of(move, clip.size):.0f} px"

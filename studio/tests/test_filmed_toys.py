@@ -10,13 +10,14 @@ from assets.asset import Asset
 from assets.camera_file import read_cameras
 from assets.library import find_asset
 from commands.parser import parse
+from core.camera import look_at, perspective
 from core.errors import BadInput
 from display.drawn_body import DrawnBody
 from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks
 from prepare.fit.clip_tracks import ALIGNED_SIDE, found_pose
 from prepare.fit.marker_tracks import posed
 from studio import filmed_toys
-from studio.filmed_toys import CLIPS, film_toy
+from studio.filmed_toys import CLIPS, film_toy, shaken
 
 SIZE = (240, 180)
 
@@ -50,6 +51,20 @@ def test_a_film_shows_the_toy_where_the_truth_says(folder):
     pose = found_pose(drawn.picture, x, camera, clip, mask, lambda done: None)
     drawn.destroy()
     assert np.linalg.norm(posed(pose, x) - start, axis=1).mean() < 0.02
+
+
+def test_a_hand_turns_the_camera_and_what_is_behind_alike():
+    """A spot of the backdrop goes where the turned camera sees the direction that it was in."""
+    camera, behind = perspective(240, 180, 0.9, look_at((0, 0.2, 1), (0, 0, 0))), np.zeros((180, 240, 3))
+    behind[60:63, 100:103] = 1.0
+    far = camera.points_at(np.full((180, 240), 1e3), np.array([101]), np.array([61]))
+    assert shaken(camera, behind, 0.0, 0.3)[1] is behind
+    turned, seen = shaken(camera, behind, 6.0, 0.3)
+    rows, columns = np.indices(seen.shape[:2]) + 0.5
+    spot = np.array([(columns * seen[..., 0]).sum(), (rows * seen[..., 0]).sum()]) / seen[..., 0].sum()
+    went = np.ravel(turned.projected(far)[:2])
+    np.testing.assert_allclose(spot, went, atol=0.05)
+    assert np.linalg.norm(went - [101.5, 61.5]) > 4
 
 
 def test_an_unknown_clip_is_refused(tmp_path):

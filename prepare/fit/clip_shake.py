@@ -17,7 +17,6 @@ from prepare.fit.clip_masks import Clip
 CORNERS, APART = 500, 8.0  # behind the thing, and the least distance [px] of two of them
 CORNER = 0.001  # of the clearest corner's strength: one clear thing is not enough
 WINDOW = (21, 21)  # [px] of Lucas and Kanade; corners keep half of it from the mask
-BACK_AND_FORTH = 0.5  # [px] by which a corner, tracked to another picture and back, may be off
 OFF = 0.7  # [px] from where a homography leads: such a corner is of something that moves
 FEWEST = 24  # corners that agree on a homography
 SHARE = 0.25  # of the corners, found again in the second picture: of noise a tenth is, by chance
@@ -73,10 +72,9 @@ def camera_moves(clip: Clip, masks: np.ndarray, progress=lambda done: None) -> n
         move, agree = None, np.zeros(len(first), bool)
         if len(first) >= FEWEST:
             likely = moved(first, moves[-1]).astype(np.float32)
-            there, found, _ = cv2.calcOpticalFlowPyrLK(grey[0], grey[k], first, likely.copy(), **how)
-            back = cv2.calcOpticalFlowPyrLK(grey[k], grey[0], there, first + there - likely, **how)[0]
+            there, found, _ = cv2.calcOpticalFlowPyrLK(grey[0], grey[k], first, likely, **how)
             column, row = np.clip(there.round().astype(int), 0, np.array(clip.size) - 1).T
-            good = (np.linalg.norm(back - first, axis=1) < BACK_AND_FORTH) & (behind[k][row, column] * found[:, 0] > 0)
+            good = behind[k][row, column] * found[:, 0] > 0
             if good.sum() >= FEWEST:
                 move, agree[good] = homography(first[good], there[good])
         if k == 1 and agree.sum() < max(FEWEST, SHARE * len(first)):

@@ -99,6 +99,13 @@ def test_what_passes_behind_does_not_count():
     assert steps_off(moves, true).max() < 0.4
 
 
+def test_a_faint_pattern_counts_beside_something_clear():
+    faint = (120 + 0.07 * (wall().astype(float) - 128)).astype(np.uint8)
+    faint[60:64, 60:80] = 255
+    moves = camera_moves(*clip_of([slid(faint, 0.7 * k) for k in range(6)]))
+    np.testing.assert_allclose(moves[:, 0, 2], 0.7 * np.arange(6), atol=0.3)
+
+
 def test_a_camera_that_goes_too_far_is_refused():
     with pytest.raises(BadInput, match=r"clip: frame_0010: the camera has turned by 18 px; hold it still, or leave it"):
         steadied(*clip_of([slid(wall(), 3.5 * k) for k in range(12)]))

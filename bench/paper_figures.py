@@ -1,7 +1,7 @@
 """`vrgs.py figures`: the paper's figures and tables (VR-GS: Jiang et al. 2024), made and measured here, as one page.
 
-Embedding with one level and with two, shadows on and off, foveation, a bar under twist beside theory, the solvers,
-inpainted objects, and a picture of each demo. The page holds all pictures; a JSON file beside it holds the numbers.
+Embedding with one level and with two, shadows on and off, a bar under twist beside theory, the solvers, inpainted
+objects, and a picture of each demo. The page holds all pictures; a JSON file beside it holds the numbers.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from bench.bar_figures import (
     quarter_period,
     striped_bar,
 )
-from bench.render_speed import SIZES, eyes, room
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.fields import destroy_fields
@@ -53,8 +52,6 @@ from prepare.train.photographs import OPAQUE, load_photograph, load_photographs,
 from prepare.train.seeds import first_gaussians
 from prepare.train.train_options import CAPS, TrainOptions
 from prepare.train.trainer import Trainer
-from render.renderer import Renderer
-from render.splats import Splats
 from scenes import registry
 from scenes.paper_demos import PaperDemo, paper_demos
 
@@ -106,7 +103,6 @@ def run(*, out: Path, capture: Path | None, quick: bool) -> None:
     figures: list[tuple[str, Callable[[], Section]]] = [
         ("two-level and one-level embedding", lambda: embedding_section(bar, effort, results)),
         ("shadow", lambda: shadow_section(effort, known, results)),
-        ("foveation", lambda: foveation_section(results, quick=quick)),
         ("twist", lambda: twist_section(bar, effort, results)),
         ("solvers", lambda: solver_section(bar, effort, results)),
         ("inpainting", lambda: inpainting_section(capture, results, quick=quick)),
@@ -271,38 +267,6 @@ def shadow_section(effort: Effort, known: dict[str, Played], results: dict) -> S
             ("", "measured"),
             [("pixels in shadow", f"{dark.mean():.1%}"), ("darker there by", f"{darker:.0%}"),
              ("time of the shadow map, each frame", f"{took:.2f} ms")],
-        ),
-    )  # fmt: skip
-
-
-def foveation_section(results: dict, *, quick: bool) -> Section:
-    """A room in full and foveated, and where the two differ."""
-    count, side = (20_000, 480) if quick else (SIZES["1.313M"], 2160)
-    camera, splats, pictures = eyes(side, side)[0], Splats(room(count)), []
-    for foveate in (False, True):
-        renderer = Renderer(splats, side, side, foveate=foveate)
-        renderer.render([camera])
-        pictures.append(renderer.pixels()[0, ..., :3].copy())
-        if foveate:
-            (_, left, right, _), (_, top, bottom, _) = renderer.rasterizer.projection.fovea.edges.to_numpy()[0].astype(
-                int
-            )
-            samples = np.prod(renderer.rasterizer.projection.fovea.drawn) / side**2
-        renderer.destroy()
-    splats.destroy()
-    full, foveated = pictures
-    difference = np.abs(full.astype(int) - foveated)
-    inside = int(difference[top:bottom, left:right].max())
-    results["foveation"] = {"samples": float(samples), "inside": inside, "mean": float(difference.mean())}
-    return Section(
-        "Foveation",
-        "A synthetic room with every pixel drawn, with --foveate, and the difference of the two, four times enlarged.",
-        {"full": full, "foveated": foveated, "difference": np.minimum(4 * difference, 255).astype(np.uint8)},
-        Table(
-            ("", "measured"),
-            [("samples, of the picture's pixels", f"{samples:.0%}"),
-             ("largest difference within the fovea, of 255", str(inside)),
-             ("mean difference, of 255", f"{difference.mean():.2f}")],
         ),
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """`vrgs.py bench render`: time of a headset's picture, both eyes, for synthetic rooms of several sizes.
 
-Medians of synchronous calls of `Renderer.render`; the head turns slightly between them. With --foveate each row
-also has the time of foveated pictures, one after each full one. For gsplat see `bench/peers/gsplat_peer.py`.
+Medians of synchronous calls of `Renderer.render`; the head turns slightly between them. For gsplat see
+`bench/peers/gsplat_peer.py`.
 """
 
 from __future__ import annotations
@@ -101,28 +101,22 @@ TURN = 0.002  # [rad] between two frames: 10 degrees a second at 90 Hz
 WARM_PICTURES = 5  # uncounted frames: they compile and determine the capacity
 
 
-def run(*, gaussians: list[str], size: tuple[int, int], rounds: int, foveate: bool) -> Iterator[dict]:
+def run(*, gaussians: list[str], size: tuple[int, int], rounds: int) -> Iterator[dict]:
     """Measure every room; prints and yields its row."""
-    more = f" {'foveated ms':>12} {'times as fast':>14}" if foveate else ""
-    print(f"{'Gaussians':>10} {'pairs':>11} {'median ms':>10} {'worst ms':>10}{more}", flush=True)
+    print(f"{'Gaussians':>10} {'pairs':>11} {'median ms':>10} {'worst ms':>10}", flush=True)
     for name in gaussians:
-        row = measure(SIZES[name], *size, rounds=rounds, foveate=foveate)
-        more = f" {row['foveated_ms']:12.3f} {row['ratio']:14.2f}" if foveate else ""
-        print(f"{name:>10} {row['pairs']:11,} {row['median_ms']:10.3f} {row['worst_ms']:10.3f}{more}", flush=True)
+        row = measure(SIZES[name], *size, rounds=rounds)
+        print(f"{name:>10} {row['pairs']:11,} {row['median_ms']:10.3f} {row['worst_ms']:10.3f}", flush=True)
         yield row
 
 
-def measure(count: int, width: int, height: int, *, rounds: int, foveate: bool = False) -> dict:
+def measure(count: int, width: int, height: int, *, rounds: int) -> dict:
     """One row: a room of `count` Gaussians, SH of degree 3, two eyes of width x height [px]."""
-    splats = Splats(room(count))
-    renderers = [Renderer(splats, width, height, views=2, foveate=k > 0) for k in range(1 + foveate)]
-    took, *foveated = times([renderer.render for renderer in renderers], ti.sync, width, height, rounds)
-    pairs = renderers[0].rasterizer.pairs
-    for renderer in renderers:
-        renderer.destroy()
-    splats.destroy()
-    more = {"foveated_ms": 1e3 * median(foveated[0]), "ratio": median(took) / median(foveated[0])} if foveate else {}
-    return more | {
+    renderer = Renderer(Splats(room(count)), width, height, views=2)
+    took = times(lambda cameras: renderer.render(cameras), ti.sync, width, height, rounds)
+    pairs = renderer.rasterizer.pairs
+    renderer.destroy()
+    return {
         "bench": "render",
         "gaussians": count,
         "width": width,
@@ -136,20 +130,19 @@ def measure(count: int, width: int, height: int, *, rounds: int, foveate: bool =
 
 
 def times(
-    draws: list[Callable[[list[Camera]], object]],
+    draw: Callable[[list[Camera]], object],
     wait: Callable[[], object],
     width: int,
     height: int,
     rounds: int,
-) -> list[list[float]]:
-    """Wall times [s] of `rounds` pictures of a slowly turning head, for each of `draws` in turn."""
-    result = [[] for _ in draws]
+) -> list[float]:
+    """Wall times [s] of `rounds` pictures of a slowly turning head."""
+    result = []
     for k in range(WARM_PICTURES + rounds):
         cameras = eyes(width, height, turn=TURN * k)
-        for draw, took in zip(draws, result, strict=True):
-            wait()
-            begin = perf_counter()
-            draw(cameras)
-            wait()
-            took.append(perf_counter() - begin)
-    return [took[WARM_PICTURES:] for took in result]
+        wait()
+        begin = perf_counter()
+        draw(cameras)
+        wait()
+        result.append(perf_counter() - begin)
+    return result[WARM_PICTURES:]

@@ -29,7 +29,7 @@ SUBJECTS = {  # module, options that it takes, and what it measures
         "asset sizes materials acts frames quick",
         "the solver, real bodies dropped, thrown, squeezed, piled up",
     ),
-    "render": ("bench.render_speed", "gaussians size rounds foveate", "a headset's picture, both eyes"),
+    "render": ("bench.render_speed", "gaussians size rounds", "a headset's picture, both eyes"),
     "frame": ("bench.frame_time", "", "a headset's whole frame, ring toss"),
     "demos": ("bench.demos", "names detail frames quick size", "the paper's nine demos, beside its figures"),
     "hitches": ("bench.hitches", "names size", "the worst frame of each thing that one does, in every scene"),
@@ -79,7 +79,6 @@ class BenchOptions(cli.Options):
     gaussians: list[RoomSize] = cli.option(None, "render: rooms (default: all)", list(get_args(RoomSize)))
     size: cli.Size = cli.option("WxH", "render, demos, hitches: picture of an eye (default 1800x1920)", (1800, 1920))
     rounds: cli.Count = cli.option("N", "sim, render: frames measured (default 12)", 12)
-    foveate: bool = cli.switch("render: foveated pictures as well")
     steps: cli.Count | None = cli.option("N", "train: steps (default 30000 on a GPU, 3000 on a CPU)")
     at: list[cli.Count] = cli.option("N", "train: steps after which it is tested as well (default 7000)", [7000])
     reduce: cli.Count = cli.option("N", "train: divide the photographs' sides by N", 1)

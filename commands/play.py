@@ -64,7 +64,6 @@ def open_session(options: PlayOptions) -> Iterator[Session]:
     ):
         start_taichi(options.arch, options.seed)
         world = {"interaction": options.interaction, "embedding": options.embedding, "sort": options.sort}
-        world["foveate"] = options.foveate
         world |= {"depth": bool(options.xr and display.depth), "fingers": bool(options.xr or options.driven)}
         if replay:
             world = replay.world_options(world)

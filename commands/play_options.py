@@ -56,7 +56,6 @@ class DisplayOptions(cli.Options):
     sort: cli.Sort | None = cli.sort_option("radial")
     size: cli.Size | None = cli.option("WxH", "picture size (default 960x540; a window: its last size)")
     render_scale: cli.RenderScale = cli.option("S", "--xr: scale of the headset's recommended width and height", 1.0)
-    foveate: bool = cli.switch("full resolution about the picture's middle (--xr: the lenses' centres), less around it")
     stereo: bool = cli.switch("headless: draw two eyes, 63 mm apart")
     record: Path | None = cli.option("OUT.mp4", "write a film")
     snapshot: cli.PictureName | None = cli.option("OUT.png", "write the last frame: .png, .jpg or .webp")

@@ -35,7 +35,6 @@ WHERE = cli.OneOf()
 class RenderOptions(cli.Options):
     EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
     CONDITIONS = (
-        cli.Condition(("--foveate",), lambda o: not o.turntable, "belongs to --camera"),
         cli.Condition(("--up", "--size", "--frames", "--elevation"), lambda o: o.turntable, "belongs to --turntable"),
     )
 
@@ -52,7 +51,6 @@ class RenderOptions(cli.Options):
         "DEG", "turntable: elevation of the camera (default 15; of what was trained that of the photographs)"
     )
     sort: cli.Sort | None = cli.sort_option(DEFAULT_SORT)
-    foveate: bool = cli.switch("full resolution about the lens's centre, less around it; .png only")
     antialias: bool = cli.switch("opacity compensation of Mip-Splatting (default: as the file was trained)")
     arch: cli.Arch | None = cli.arch_option()
 
@@ -77,8 +75,6 @@ def draw_pictures(options: RenderOptions) -> None:
     out = options.out
     if out.suffix.lower() not in (".png", ".npz"):
         raise BadInput(f"{out}: the picture's name must end in .png or .npz")
-    if options.foveate and out.suffix.lower() == ".npz":
-        raise BadInput(f"{out}: --foveate draws 8-bit pictures, .png")
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
     cameras = read_cameras(options.camera)
@@ -93,7 +89,7 @@ def draw_pictures(options: RenderOptions) -> None:
         with atomic_write(out) as beside, open(beside, "wb") as file:
             np.savez_compressed(file, **images)
     else:
-        for k, picture in enumerate(draw_rgba8(gaussians, cameras, foveate=options.foveate, **how)):
+        for k, picture in enumerate(draw_rgba8(gaussians, cameras, **how)):
             save_picture(out if len(cameras) == 1 else out.with_name(f"{out.stem}_{k:03d}{out.suffix}"), picture)
     pixels = f"{cameras[0].width}x{cameras[0].height}"
     count = "1 picture" if len(cameras) == 1 else f"{len(cameras)} pictures"
@@ -110,23 +106,20 @@ def draw_float(gaussians, cameras: list[Camera], *, antialias: bool = False, sor
 
 
 def draw_rgba8(
-    gaussians, cameras: list[Camera], *, antialias: bool = False, sort: str = "radial", foveate: bool = False
+    gaussians, cameras: list[Camera], *, antialias: bool = False, sort: str = "radial"
 ) -> Iterator[np.ndarray]:
     """One (H, W, 4) uint8 RGBA picture per camera, all of one size."""
-    for renderer in _drawn(gaussians, cameras, "rgba8", antialias, sort, foveate):
+    for renderer in _drawn(gaussians, cameras, "rgba8", antialias, sort):
         yield renderer.pixels()[0].copy()
 
 
-def _drawn(
-    gaussians, cameras: list[Camera], outputs: str, antialias: bool, sort: str, foveate: bool = False
-) -> Iterator[Renderer]:
+def _drawn(gaussians, cameras: list[Camera], outputs: str, antialias: bool, sort: str) -> Iterator[Renderer]:
     """The renderer after each camera's picture; its memory is freed at the end."""
     from render.renderer import Renderer
     from render.splats import Splats
 
     splats, first = Splats(gaussians), cameras[0]
-    how = {"antialias": antialias, "outputs": outputs, "sort": sort, "foveate": foveate}
-    renderer = Renderer(splats, first.width, first.height, **how)
+    renderer = Renderer(splats, first.width, first.height, antialias=antialias, outputs=outputs, sort=sort)
     for camera in cameras:
         renderer.render([camera])
         yield renderer

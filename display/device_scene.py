@@ -46,7 +46,6 @@ class DeviceScene:
 
     views      1 (mono) or 2 (stereo)
     depth      let the picture hold depth in place of alpha
-    foveate    draw fewer pixels away from the lenses' centres
     fingers    let finger capsules (`Hand.touch`) push the bodies
     props      skinned Gaussians that `place_props` moves, those that cast no shadow first
     reserve    assets of bodies for which there is capacity besides
@@ -62,7 +61,6 @@ class DeviceScene:
         embedding: str = "two-level",
         sort: str | None = None,
         depth: bool = False,
-        foveate: bool = False,
         fingers: bool = False,
         props: Sequence[Skin] = (),
         reserve: Sequence[str] = (),
@@ -121,7 +119,6 @@ class DeviceScene:
             sort=sort or self.trained_sort,
             outputs="deep" if depth else "rgba8",
             still=len(still),
-            foveate=foveate,
         )
 
     @property

@@ -157,7 +157,7 @@ class TileBins:
         if self.projection.draws(tile):
             key = ti.cast(tile, ti.u32)
             if ti.static(self.on_gpu):
-                cells = touched_cells(v, row, column, mean2d, conic, box, self.projection)
+                cells = touched_cells(row, column, mean2d, conic, box, self.projection.tile)
                 key |= ti.cast(cells, ti.u32) << CELLS_AT
             self.sorter.items[pair] = item_of(key, g)
             pair += 1
@@ -189,7 +189,7 @@ class TileBins:
         """Write the pairs of a splat without a tile mask; each lane has every so many rows."""
         p = self.projection
         mean2d, conic, box = load_quad(p.mean2d, v, g), load_quad(p.conic, v, g), load_quad(p.box, v, g)
-        left, right, top, bottom = tile_box(v, mean2d, box, p)
+        left, right, top, bottom = tile_box(mean2d, box, p.tile, p.grid)
         for step in range((bottom - top + self.lanes - 1) // self.lanes):
             row, column, last = top + step * self.lanes + lane, 0, 0
             if row < bottom:

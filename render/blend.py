@@ -168,7 +168,6 @@ class Blend:
             if not self.projection.draws(tile):
                 continue
             v, x0, y0 = self.projection.place_of(tile, (CPU_TILE, CPU_TILE))
-            corner_x, corner_y, across, down = self.projection.origin_of(v, x0, y0)
             T, red, green, blue, depth = filled(1.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)
             top, bottom = 0, CPU_TILE - 1  # rows that are not finished
             begin, end = self._segment(tile, s)
@@ -179,14 +178,14 @@ class Blend:
                 A, B, C, top_power = conic[0], 2 * conic[1], conic[2], mean2d.z
                 if ti.static(self.fast):
                     top_power = ti.min(top_power, LOG_ALPHA_MAX)
-                dx0, dy0 = corner_x + 0.5 * across - mean2d.x, corner_y + 0.5 * down - mean2d.y
-                first, last = covered_rows(dy0 / down, self.projection.box[v, g][1] / down, top, bottom)
+                dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
+                first, last = covered_rows(dy0, self.projection.box[v, g][1], top, bottom)
                 for row in range(first, last + 1):
-                    dy = dy0 + row * down
+                    dy = dy0 + row
                     base, tilt = top_power - C * dy * dy, B * dy
                     for column in range(CPU_TILE):
                         q = (row & (CPU_TILE - 1)) * CPU_TILE + column  # the mask tells the compiler that q cannot wrap
-                        dx = dx0 + column * across
+                        dx = dx0 + column
                         power = base - dx * (A * dx + tilt)
                         alpha = exp2(power)
                         if ti.static(not self.fast):
@@ -223,7 +222,6 @@ class Blend:
             tile, s = self.bins.turn[block // self.segments], block % self.segments
             v, x0, y0 = self.projection.place_of(tile, self.projection.tile)
             left, top = pixel_of(x0, y0, cell, 0, height)
-            corner_x, corner_y, wide, high = self.projection.origin_of(v, left, top)
             x, y = pixel_of(x0, y0, cell, lane, height)
             shared = ti.simt.block.SharedArray((PLACE * TILE_THREADS,), ti.f32)
             T, depth = ti.Vector([SCALE] * pixels), ti.Vector([0.0] * pixels)  # T, times SCALE
@@ -241,7 +239,7 @@ class Blend:
                     touches = ti.cast(key_of(item) >> ti.cast(CELLS_AT + cell, ti.u32), ti.i32) & 1
                 place, count = rank_lanes(touches, lane, WARP)
                 if touches != 0:
-                    words = self._words(v, value_of(item), corner_x, corner_y, wide, high)
+                    words = self._words(v, value_of(item), left, top)
                     for k in ti.static(range(10)):
                         shared[PLACE * ((cell * WARP + place) & (TILE_THREADS - 1)) + k] = words[k]
                 sync_lanes(WARP)
@@ -272,9 +270,8 @@ class Blend:
                     sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], alpha)
 
     @ti.func
-    def _words(self, v, g, left, top, across, down):
+    def _words(self, v, g, left, top):
         """Numbers of a splat at (x, y) [px] from the corner of a cell, (left, top) [px], by its factors q, s and t.
-        The cell's pixels stand `across` and `down` [px] apart.
 
         q, q x, log2 (opacity / SCALE), s y + t x, s, t, r, g, b, z
         """
@@ -285,10 +282,7 @@ class Blend:
         x, y = mean2d.x - left, mean2d.y - top
         if ti.static(self.fast):
             mean2d.z = ti.min(mean2d.z, LOG_ALPHA_MAX)
-        log_opacity, sheared, q_step, t_step = mean2d.z - LOG_SCALE, s * y + t * x, q * across, t * across
-        return ti.Vector(
-            [q_step, q * x, log_opacity, sheared, s * down, t_step, color[0], color[1], color[2], mean2d.w]
-        )
+        return ti.Vector([q, q * x, mean2d.z - LOG_SCALE, s * y + t * x, s, t, color[0], color[1], color[2], mean2d.w])
 
 
 @ti.func

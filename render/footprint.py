@@ -1,6 +1,7 @@
 """Footprint of a splat: the tiles that its ellipse touches, and the plane on which it lies along each pixel's ray.
 
-A splat is given by `mean2d`, `conic` and `box`; `p` is the `Projection` with the tiles (render/projection.py).
+A splat is given by `mean2d`, `conic` and `box` (render/projection.py); `tile` is (width, height) of a tile [px], `grid`
+the field (width, height [px], columns, rows of tiles) of the picture.
 """
 
 import math
@@ -34,13 +35,13 @@ def meets_picture(x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32,
 
 
 @ti.func
-def tile_mask_of(v: ti.i32, mean2d: vec4, conic: vec4, box: vec4, p: ti.template()):
+def tile_mask_of(mean2d: vec4, conic: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
     """The entry of `Projection.tile_mask` for a splat."""
-    left, right, top, bottom = tile_box(v, mean2d, box, p)
+    left, right, top, bottom = tile_box(mean2d, box, tile, grid)
     fits = right - left <= MASK_COLUMNS and bottom - top <= MASK_ROWS
     touched, bits = 0, 0
     for row in range(top, bottom):
-        first, last = tile_columns(v, row, left, right, mean2d, conic, box, p)
+        first, last = tile_columns(row, left, right, mean2d, conic, box, tile)
         touched += last - first
         if fits:
             bits |= ((1 << (last - first)) - 1) << ((row - top) * MASK_COLUMNS + first - left)
@@ -63,42 +64,35 @@ def masked_tile(corner: ti.i32, bits: ti.i32):
 
 
 @ti.func
-def tile_box(v: ti.i32, mean2d: vec4, box: vec4, p: ti.template()):
+def tile_box(mean2d: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
     """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
-    low_x, high_x = p.to_grid(v, 0, mean2d.x - box[0]), p.to_grid(v, 0, mean2d.x + box[0])
-    low_y, high_y = p.to_grid(v, 1, mean2d.y - box[1]), p.to_grid(v, 1, mean2d.y + box[1])
-    left, right = tiles_between(low_x, high_x, 0, p.grid[None][2], p.tile[0])
-    top, bottom = tiles_between(low_y, high_y, 0, p.grid[None][3], p.tile[1])
+    left, right = tiles_between(mean2d.x - box[0], mean2d.x + box[0], 0, grid[None][2], tile[0])
+    top, bottom = tiles_between(mean2d.y - box[1], mean2d.y + box[1], 0, grid[None][3], tile[1])
     return left, right, top, bottom
 
 
 @ti.func
-def tile_columns(
-    v: ti.i32, row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: vec4, box: vec4, p: ti.template()
-):  # fmt: skip
+def tile_columns(row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
     """Columns [first, last) of tiles in a row of tiles that hold a pixel centre column of the ellipse.
 
     left and right are those of the splat's box.
     """
     first, last = left, right
     if right - left > 1:
-        top = row * p.tile[1] + 0.5
-        upper, lower = p.to_picture(v, 1, top), p.to_picture(v, 1, top + (p.tile[1] - 1))
-        low, high = horizontal_extent(upper, lower, mean2d, conic, box)
-        first, last = tiles_between(p.to_grid(v, 0, low), p.to_grid(v, 0, high), left, right, p.tile[0])
+        top = row * tile[1] + 0.5
+        low, high = horizontal_extent(top, top + (tile[1] - 1), mean2d, conic, box)
+        first, last = tiles_between(low, high, left, right, tile[0])
     return first, last
 
 
 @ti.func
-def touched_cells(v: ti.i32, row: ti.i32, column: ti.i32, mean2d: vec4, conic: vec4, box: vec4, p: ti.template()):
+def touched_cells(row: ti.i32, column: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
     """A bit for each cell of a tile that a splat touches, row by row."""
-    x0, height, bits = column * p.tile[0], ti.static(p.tile[1] // DOWN), 0
+    x0, height, bits = column * tile[0], ti.static(tile[1] // DOWN), 0
     for down in ti.static(range(DOWN)):
-        top = row * p.tile[1] + down * height + 0.5
-        upper, lower = p.to_picture(v, 1, top), p.to_picture(v, 1, top + (height - 1))
-        if mean2d.y - box[1] <= lower and mean2d.y + box[1] >= upper:
-            left, right = horizontal_extent(upper, lower, mean2d, conic, box)
-            left, right = p.to_grid(v, 0, left), p.to_grid(v, 0, right)
+        top = row * tile[1] + down * height + 0.5
+        if mean2d.y - box[1] <= top + (height - 1) and mean2d.y + box[1] >= top:
+            left, right = horizontal_extent(top, top + (height - 1), mean2d, conic, box)
             for across in ti.static(range(ACROSS)):
                 if left <= x0 + across * CELL + CELL - 0.5 and right >= x0 + across * CELL + 0.5:
                     bits |= 1 << (down * ACROSS + across)
@@ -215,13 +209,14 @@ class ChangedTiles:
         return self.whole[None] == self.picture[None]
 
     @ti.func
-    def add(self, v, mean2d, box, p: ti.template()):
+    def add(self, v, mean2d, box, tile: ti.template(), grid: ti.template()):
         """Mark all tiles in the box of a splat of view v, see `Projection`."""
         if not self.everywhere():
-            left, right, top, bottom = tile_box(v, mean2d, box, p)
+            columns, rows = grid[None][2], grid[None][3]
+            left, right, top, bottom = tile_box(mean2d, box, tile, grid)
             for row in range(top, bottom):
                 for column in range(left, right):
-                    t = p.tile_at(v, row, column)
+                    t = (v * rows + row) * columns + column
                     if t < TILES:
                         self.last[t] = self.picture[None]
 

@@ -76,7 +76,6 @@ class PerPixelSort:
                 continue
             v, x0, y0 = self.projection.place_of(tile, (CPU_TILE, CPU_TILE))
             y = y0 + row
-            corner_x, corner_y, wide, high = self.projection.origin_of(v, x0, y0)
             T, red, green, blue, depth = across(1.0), across(0.0), across(0.0), across(0.0), across(0.0)
             inv_depths = [across(EMPTY_INV_DEPTH) for _ in ti.static(range(self.buffer_size))]
             alphas = [across(0.0) for _ in ti.static(range(self.buffer_size))]
@@ -88,12 +87,10 @@ class PerPixelSort:
                 stop = begin
             visited = 0
             for i in range(begin, stop):
-                touches, g, dx0, A, tilt, base, center, slope, missing = self._along_row(
-                    i, end, v, corner_x + 0.5 * wide, corner_y + (row + 0.5) * high
-                )
+                touches, g, dx0, A, tilt, base, center, slope, missing = self._along_row(i, end, v, x0, y)
                 if touches:
                     for q in range(CPU_TILE):
-                        dx = dx0 + q * wide
+                        dx = dx0 + q
                         power = base - dx * (A * dx + tilt)
                         alpha = exp2(power)
                         alpha = ti.select(alpha < ALPHA_MAX, alpha, ALPHA_MAX)
@@ -122,11 +119,11 @@ class PerPixelSort:
                     sink.write(out, v, y, x0 + q, rgb, depth[q], 1.0 - ti.abs(T[q]))
 
     @ti.func
-    def _along_row(self, i: ti.i32, end: ti.i32, v: ti.i32, x: ti.f32, y: ti.f32):
-        """True if member i of the bins touches a row of pixels from (x, y) [px] on, its Gaussian, and its numbers.
+    def _along_row(self, i: ti.i32, end: ti.i32, v: ti.i32, x0: ti.i32, y: ti.i32):
+        """True if member i of the bins touches a row of pixels, its Gaussian, and its numbers along the row.
 
-        log2 alpha = base - dx (A dx + tilt) and 1/z = center + slope dx, at dx = dx0 of the first pixel; `missing`: 1/z
-        of pixels outside its ellipse. From `end` on: an empty splat, behind all others.
+        log2 alpha = base - dx (A dx + tilt) and 1/z = center + slope dx, at dx = dx0 + q of pixel q; `missing`: 1/z of
+        pixels outside its ellipse. From `end` on: an empty splat, behind all others.
         """
         g, touches, missing = 0, True, 0.0
         base, tilt, A, dx0, center, slope = -2 * CUTOFF_BITS, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -134,7 +131,7 @@ class PerPixelSort:
             g, missing = value_of(self.bins.members[i]), EMPTY_INV_DEPTH
             mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
             box = self.projection.box[v, g]
-            dx0, dy = x - mean2d.x, y - mean2d.y
+            dx0, dy = x0 + 0.5 - mean2d.x, y + 0.5 - mean2d.y
             touches = ti.abs(dy) <= box[1]
             A, tilt, base = conic[0], 2 * conic[1] * dy, mean2d.z - conic[2] * dy * dy
             center, slope = 1.0 / mean2d.w + self.projection.color[v, g][3] * dy, box[3]
@@ -153,8 +150,6 @@ class PerPixelSort:
             v, x0, y0 = self.projection.place_of(tile, GPU_TILE)
             cell, member = lane // (CELL * CELL), lane % (CELL * CELL)  # a cell is two warps
             x, y = pixel_of(x0, y0, cell, member, CELL)
-            corner_x, corner_y, wide, high = self.projection.origin_of(v, x, y)
-            middle_x, middle_y = corner_x + 0.5 * wide, corner_y + 0.5 * high
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
             T, depth, rgb = 1.0, 0.0, ti.math.vec3(0.0)
             inv_depths, alphas = ti.Vector([EMPTY_INV_DEPTH] * self.buffer_size), ti.Vector([0.0] * self.buffer_size)
@@ -174,7 +169,7 @@ class PerPixelSort:
                     while (bits != ti.u32(0)) & (done == 0):
                         splat = fetched(shared, group * 32 + first_of(bits), 10)
                         bits &= bits - ti.u32(1)
-                        dx, dy = middle_x - splat[0], middle_y - splat[1]
+                        dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
                         power = splat[2] - dx * (splat[4] * dx + splat[5] * dy) - splat[6] * dy * dy
                         if power >= -CUTOFF_BITS:
                             inv_depth = splat[3] + splat[7] * dx + splat[8] * dy

@@ -23,7 +23,6 @@ from render.footprint import (
     tile_mask_of,
     tiles_in,
 )
-from render.foveation import BLUR, MAX_BLUR, Fovea
 from render.radix_sort import DROPPED, item_of, key_of, value_of
 from render.splats import Splats, color_of
 
@@ -48,7 +47,6 @@ class Projection:
     camera     vec4 (views, 4): three rows of world_to_camera, then (fx, fy, cx, cy)
     near       least camera z [m] that is drawn, (views,)
     grid       (width, height [px], columns, rows of tiles): a field, so that another picture size needs no new kernels
-    drawn      (width, height) [px] of what is drawn: the picture, or the samples of `fovea`, a Fovea or None
     changed    tiles that differ from the last picture, or None if they are not wanted
     still      number of Gaussians at the beginning of which nothing but the visibility ever changes: a view that has
                been projected is kept, their sort keys in `kept_key`, their colours without visibility in `kept_color`
@@ -76,7 +74,6 @@ class Projection:
         sort: str = "z",
         still: int = 0,
         changed: ChangedTiles | None = None,
-        foveate: bool = False,
     ):
         if sort not in SORTS:
             raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
@@ -84,15 +81,13 @@ class Projection:
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
         self.still, self.keeps = still, still > 0
         self.changed, self.compares = changed, changed is not None
-        self.fovea, self.foveates = Fovea(views, tile) if foveate else None, foveate
-        self.max_dilation = DILATION + (MAX_BLUR if foveate else 0.0)  # [px^2] where the samples are coarsest
         self.fields = f = FieldGroup()
         # 64 bytes: a splat is one cache line
         with f.interleaved(views, splats.capacity):
             self.mean2d, self.conic, self.color, self.box = (f.vector(views, splats.capacity, n=4) for _ in range(4))
         self.camera = f.vector(views, 4, n=4)
         self.near = f.scalar(views)
-        self.grid, self.drawn = f.vector(n=4, dtype=ti.i32), f.vector(n=2, dtype=ti.i32)
+        self.grid = f.vector(n=4, dtype=ti.i32)
         self.tile_mask = f.vector(
             views, splats.capacity, n=2, dtype=ti.i32, column_major=True
         )  # both eyes' side by side
@@ -101,20 +96,14 @@ class Projection:
         self.near.fill(NEAR_PLANE)
         self.set_size(width, height)
 
-    def set_size(self, width: int, height: int, gazes=None) -> None:
-        """Set the picture size [px], and with a fovea the gazes (views, 2) [px] (default: the middle)."""
-        drawn = (width, height)
-        if self.fovea is not None:
-            self.fovea.place(gazes or [(0.5 * width, 0.5 * height)] * self.views, width, height)
-            drawn = self.fovea.drawn
-        self.tiles = (-(-drawn[0] // self.tile[0]), -(-drawn[1] // self.tile[1]))  # columns, rows
-        self.grid[None], self.drawn[None] = [width, height, *self.tiles], drawn
+    def set_size(self, width: int, height: int) -> None:
+        """Set the picture size [px]."""
+        self.tiles = (-(-width // self.tile[0]), -(-height // self.tile[1]))  # columns, rows
+        self.grid[None] = [width, height, *self.tiles]
 
     def destroy(self) -> None:
         """Free the device memory."""
         self.fields.destroy()
-        if self.fovea is not None:
-            self.fovea.destroy()
 
     @ti.func
     def set_camera(self, v: ti.template(), words: ti.template()):
@@ -209,7 +198,7 @@ class Projection:
     @ti.func
     def _add_changed(self, v: ti.i32, mean2d: vec4, box: vec4):
         if ti.static(self.compares):
-            self.changed.add(v, mean2d, box, self)
+            self.changed.add(v, mean2d, box, self.tile, self.grid)
 
     @ti.func
     def tile_count(self, v: ti.i32, g: ti.i32) -> ti.i32:
@@ -224,7 +213,7 @@ class Projection:
                     count += ti.cast(self.draws(self.tile_at(v, row, column)), ti.i32)
                     bits &= bits - 1
             if bits < 0 and not self.changed.everywhere():
-                left, right, top, bottom = tile_box(v, self.mean2d[v, g], self.box[v, g], self)
+                left, right, top, bottom = tile_box(self.mean2d[v, g], self.box[v, g], self.tile, self.grid)
                 for row in range(top, bottom):
                     first, last = self.columns_in(v, g, row, left, right)
                     for column in range(first, last):
@@ -235,38 +224,12 @@ class Projection:
     def columns_in(self, v: ti.i32, g: ti.i32, row: ti.i32, left: ti.i32, right: ti.i32):
         """Columns [first, last) of tiles in a row that splat `g` of view `v` touches; left, right of its `tile_box`."""
         mean2d, conic = load_quad(self.mean2d, v, g), load_quad(self.conic, v, g)
-        return tile_columns(v, row, left, right, mean2d, conic, load_quad(self.box, v, g), self)
-
-    @ti.func
-    def to_grid(self, v: ti.i32, axis: ti.template(), x: ti.f32) -> ti.f32:
-        """Coordinate [px] among what is drawn of coordinate x [px] in the picture; axis: 0 of x, 1 of y."""
-        u = x
-        if ti.static(self.foveates):
-            u = self.fovea.to_grid(v, axis, x)
-        return u
-
-    @ti.func
-    def to_picture(self, v: ti.i32, axis: ti.template(), u: ti.f32) -> ti.f32:
-        """The inverse of `to_grid`."""
-        x = u
-        if ti.static(self.foveates):
-            x = self.fovea.to_picture(v, axis, u)
-        return x
-
-    @ti.func
-    def origin_of(self, v: ti.i32, x0: ti.i32, y0: ti.i32):
-        """Coordinates [px] in the picture of the corner of a tile that begins at (x0, y0), and the distances of its
-        pixels in x and in y."""
-        left, top, across, down = ti.cast(x0, ti.f32), ti.cast(y0, ti.f32), 1.0, 1.0
-        if ti.static(self.foveates):
-            left, top = self.to_picture(v, 0, left), self.to_picture(v, 1, top)
-            across, down = self.to_picture(v, 0, x0 + 1.0) - left, self.to_picture(v, 1, y0 + 1.0) - top
-        return left, top, across, down
+        return tile_columns(row, left, right, mean2d, conic, load_quad(self.box, v, g), self.tile)
 
     @ti.func
     def inside(self, x: ti.i32, y: ti.i32):
         """True if a pixel lies in the picture, and not in a tile's part beyond its border."""
-        return x < self.drawn[None][0] and y < self.drawn[None][1]
+        return x < self.grid[None][0] and y < self.grid[None][1]
 
     @ti.func
     def place_of(self, tile: ti.i32, size: ti.template()):
@@ -327,9 +290,8 @@ class Projection:
         mx, my = scale_x * p.x + cx, scale_y * p.y + cy
         s = self.splats.cov[g]
         size = s[0] + s[3] + s[5]  # at least the largest eigenvalue: this box contains the splat's
-        filter = ti.static(self.max_dilation)
-        bound_x = ti.sqrt(MAX_CUTOFF * (scale_x * scale_x * (1 + x * x) * size + filter))
-        bound_y = ti.sqrt(MAX_CUTOFF * (scale_y * scale_y * (1 + y * y) * size + filter))
+        bound_x = ti.sqrt(MAX_CUTOFF * (scale_x * scale_x * (1 + x * x) * size + DILATION))
+        bound_y = ti.sqrt(MAX_CUTOFF * (scale_y * scale_y * (1 + y * y) * size + DILATION))
         mask = ti.Vector([0, 0])
         if meets_picture(mx, my, bound_x, bound_y, self.grid):
             forward = self.camera[v, 2].xyz
@@ -345,17 +307,6 @@ class Projection:
                 opacity *= ti.cast(ti.sqrt(ti.max(0.0, sharp / exact)), ti.f32)
             xx, yy = ti.cast(sharp_xx + DILATION, ti.f32), ti.cast(sharp_yy + DILATION, ti.f32)
             xy, det = ti.cast(sharp_xy, ti.f32), ti.cast(exact, ti.f32)
-            if ti.static(self.foveates):
-                # A splat that would reach the fovea with the widest filter keeps its own: there the pixels are those of
-                # a full picture. Elsewhere the filter grows with the samples' spacing.
-                reach_x, reach_y = ti.sqrt(MAX_CUTOFF * (xx + filter)), ti.sqrt(MAX_CUTOFF * (yy + filter))
-                across = self.fovea.spacing(v, 0, mx - reach_x, mx + reach_x)
-                down = self.fovea.spacing(v, 1, my - reach_y, my + reach_y)
-                if across * down > 1.0:
-                    more_x, more_y = BLUR * (across * across - 1.0), BLUR * (down * down - 1.0)
-                    exact += more_x * yy + more_y * xx + more_x * more_y
-                    opacity *= ti.sqrt(det / ti.cast(exact, ti.f32))  # as wide as it is faint
-                    xx, yy, det = xx + more_x, yy + more_y, ti.cast(exact, ti.f32)
             if xx < MAX_VARIANCE and yy < MAX_VARIANCE and exact > 0 and is_covariance(wide) and opacity >= 1 / 255:
                 log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
                 cutoff = (log_opacity + CUTOFF_BITS + CUTOFF_SLACK) / HALF_LOG2_E  # [sigma^2]
@@ -377,7 +328,7 @@ class Projection:
                     store_quad(self.mean2d, v, g, mean2d)
                     store_quad(self.conic, v, g, conic)
                     store_quad(self.box, v, g, box)
-                    mask = tile_mask_of(v, mean2d, conic, box, self)
+                    mask = tile_mask_of(mean2d, conic, box, self.tile, self.grid)
         return mask
 
 

@@ -31,7 +31,6 @@ class Rasterizer:
     segments  see Blend; not with sort "pixel"
     keeps  tiles of which nothing has changed since the last draw keep their pixels, if `out` is the same: on a CPU,
            where blending takes most of the time
-    foveate  see `Fovea`; `out` is then an ndarray of 8-bit pixels
     fast  for pictures without gradients: those of many pixels may have LARGE_GPU_TILEs; see Blend
     """
 
@@ -52,7 +51,6 @@ class Rasterizer:
         still: int = 0,
         keeps: bool = False,
         fast: bool = False,
-        foveate: bool = False,
     ):
         many = fast and sort != "pixel" and segments * views * width * height >= MANY_PIXELS
         gpu_tile = LARGE_GPU_TILE if many else GPU_TILE
@@ -63,7 +61,6 @@ class Rasterizer:
         self.projection = Projection(
             splats, width, height, views,
             tile=tile, antialias=antialias, color=color, sort=sort, still=still, changed=self._changed,
-            foveate=foveate,
         )  # fmt: skip
         self._kept = 0  # Gaussians that are projected for the cameras and the size of now
         self.order = DepthOrder(self.projection)
@@ -145,10 +142,9 @@ class Rasterizer:
             blend = PerPixelSort(bins, with_color=color, with_depth=depth, buffer_size=self._buffer_size)
         return TilePass(blend, self.sink)
 
-    def resize(self, width: int, height: int, gazes=None) -> None:
-        """Draw pictures of another size from now on, with the same kernels unless they need more tiles; with `foveate`
-        look at these points (views, 2) [px]."""
-        self.projection.set_size(width, height, gazes)
+    def resize(self, width: int, height: int) -> None:
+        """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""
+        self.projection.set_size(width, height)
         self.forget()
         bins = self.tile_pass.bins
         if bins.tiles > bins.tile_capacity:
@@ -183,10 +179,7 @@ class TilePass:
     def draw(self, out) -> None:
         """Bin and blend; `out` is an ndarray of pixels or a number."""
         launch(self._bin)
-        fovea = self.bins.projection.fovea
-        if fovea is not None:
-            self._blend_foveated(fovea.samples, out)
-        elif isinstance(out, ti.Ndarray):
+        if isinstance(out, ti.Ndarray):
             self._blend_to_ndarray(out)
         else:
             self._blend_to_fields(out)
@@ -200,13 +193,6 @@ class TilePass:
     @ti.kernel
     def _blend_to_ndarray(self, out: ti.types.ndarray(ti.u32, ndim=2)):
         self.blend.draw(self.sink, out)
-
-    @ti.kernel
-    def _blend_foveated(
-        self, samples: ti.types.ndarray(ti.u32, ndim=2), out: ti.types.ndarray(ti.u32, ndim=2)
-    ):  # fmt: skip
-        self.blend.draw(self.sink, samples)
-        self.bins.projection.fovea.interpolate(samples, out)
 
     @ti.kernel
     def _blend_to_fields(self, out: ti.i32):

@@ -88,9 +88,6 @@ class Renderer:
     still: number of Gaussians at the beginning of which only the visibility ever changes; while the cameras stay where
     they are too, they are not projected again.
 
-    foveate: draw fewer pixels away from the gaze (render/foveation.py): 8-bit pictures only. `gazes` are the points
-    (views, 2) [px] that are looked at, or None: where the lenses' axes meet the pictures.
-
     outputs="rgba8": `picture`, ti.ndarray u32 (views * height, width), row 0 on top, over `background`.
     outputs="deep": the same with depth in place of alpha, see `Picture`.
     outputs="float": fields `rgb` vec3, `alpha`, `depth` [m] of shape (views, height, width), no background.
@@ -109,11 +106,7 @@ class Renderer:
         sort: str = "z",
         buffer_size: int = BUFFER_SIZE,
         still: int = 0,
-        foveate: bool = False,
     ):
-        if foveate and outputs == "float":
-            raise ValueError("only 8-bit pictures can be foveated")
-        self.foveate, self.gazes, self._zones = foveate, None, None
         self.width, self.height, self.views = width, height, views
         if outputs != "float":
             self.picture = ti.ndarray(ti.u32, (views * height, width))
@@ -135,7 +128,6 @@ class Renderer:
             still=still,
             keeps=outputs != "float",
             fast=outputs != "float",
-            foveate=foveate,
         )
 
     def resize(self, width: int, height: int) -> None:
@@ -144,12 +136,11 @@ class Renderer:
         if isinstance(self.sink, Picture):
             self.picture = self._out = ti.ndarray(ti.u32, (self.views * height, width))
         self.rasterizer.resize(width, height)
-        self._zones = None
 
     def set_background(self, colour) -> None:
         """Draw over another colour from now on, each channel 0..1; not for outputs="float"."""
         self.sink.set_background(colour)
-        self.forget()  # nothing is left of the last picture
+        self.rasterizer.resize(self.width, self.height)  # nothing is left of the last picture
 
     def forget(self) -> None:
         """Draw all anew: what was said to stand still has moved."""
@@ -164,17 +155,8 @@ class Renderer:
                 raise ValueError(
                     f"camera {v} is {camera.width}x{camera.height}, the renderer {self.width}x{self.height}"
                 )
-        if self.foveate:
-            self._look(self.gazes or [(camera.cx, camera.cy) for camera in cameras])
         self.rasterizer.set_cameras(cameras)
         self.rasterizer.draw(self._out, wait=wait)
-
-    def _look(self, gazes) -> None:
-        """Let the fovea hold these points (views, 2) [px]."""
-        zones = self.rasterizer.projection.fovea.zones(gazes, self.width, self.height).tolist()
-        if zones != self._zones:
-            self.rasterizer.resize(self.width, self.height, gazes)
-            self._zones = zones
 
     def finish(self) -> None:
         """Wait for the last picture, and complete it."""

@@ -60,9 +60,9 @@ def compare(count: int, rounds: int) -> dict:
     theirs = {packed: gsplat_renderer(gaussians, packed) for packed in (True, False)}
     took = {name: [] for name in ("ours", True, False)}
     for _ in range(2):  # alternating, so that clock drift affects all of them
-        took["ours"] += times([ours.render], ti.sync, 1800, 1920, rounds // 2)[0]
+        took["ours"] += times(ours.render, ti.sync, 1800, 1920, rounds // 2)
         for packed, draw in theirs.items():
-            took[packed] += times([draw], torch.cuda.synchronize, 1800, 1920, rounds // 2)[0]
+            took[packed] += times(draw, torch.cuda.synchronize, 1800, 1920, rounds // 2)
     cameras = eyes()
     ours.render(cameras)
     picture = ours.pixels()[..., :3] / 255

@@ -80,10 +80,9 @@ def test_splats_and_their_tiles_equal_the_twin(drawings, antialias):
 
 
 @pytest.mark.parametrize("tile", [(32, 16), (32, 32)])
-def test_cells_hold_all_splats_with_a_visible_pixel_in_them_and_few_others(drawings, tile, monkeypatch):
+def test_cells_hold_all_splats_with_a_visible_pixel_in_them_and_few_others(drawings, tile):
     g, p = gaussians(1500, 0), drawings[False].rasterizer.projection
     drawings[False].draw(g, [CAMERA])
-    monkeypatch.setattr(p, "tile", tile)
     columns, rows = -(-CAMERA.width // tile[0]), -(-CAMERA.height // tile[1])
     found = ti.field(ti.i32, (len(g), rows, columns))
 
@@ -91,7 +90,7 @@ def test_cells_hold_all_splats_with_a_visible_pixel_in_them_and_few_others(drawi
     def find():
         for i, row, column in found:
             box = p.box[0, i]
-            found[i, row, column] = touched_cells(0, row, column, p.mean2d[0, i], p.conic[0, i], box, p)
+            found[i, row, column] = touched_cells(row, column, p.mean2d[0, i], p.conic[0, i], box, tile)
 
     find()
     drawn = p.tile_mask.to_numpy()[0, : len(g), 1] != 0

@@ -81,8 +81,8 @@ def camera_moves(clip: Clip, masks: np.ndarray, progress=lambda done: None) -> n
             return None
         if agree.sum() < FEWEST:
             said = "what is behind the thing is not found again"
-        elif shift_of(move, clip.size) > FARTHEST * max(clip.size):
-            said = f"the camera has turned by {shift_of(move, clip.size):.0f} px"
+        elif (shift := shift_of(move, clip.size)) > FARTHEST * max(clip.size):
+            said = f"the camera has turned by {shift:.0f} px"
         else:
             first = first[agree] if k == 1 else first
             moves.append(move)
@@ -93,7 +93,7 @@ def camera_moves(clip: Clip, masks: np.ndarray, progress=lambda done: None) -> n
 
 
 def homography(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
-    """The homography (3, 3) by which most places (N, 2) lead to others, and which do, (N,): none, unless half."""
+    """The homography (3, 3) by which most places (N, 2) lead to others, and a mask (N,) of these: none, unless half."""
     move, agree = cv2.findHomography(one, other, cv2.RANSAC, OFF)
     agree = np.zeros(len(one), bool) if move is None else agree[:, 0] > 0
     return move, agree & (agree.mean() > 0.5)

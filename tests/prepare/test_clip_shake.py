@@ -11,7 +11,9 @@ from core.errors import BadInput
 from prepare.fit.clip_masks import Clip, clip_masks
 from prepare.fit.clip_shake import camera_moves, moved, shift_of, steadied
 from prepare.fit.clip_tracks import tracked
-from tests.support.filmed_block import FPS, FRAMES, PIXELS, TRUE, camera_of, filmed, let_go, marks_of, speckled_block
+from tests.support.filmed_block import (
+    FPS, FRAMES, PIXELS, TRUE, camera_of, filmed, let_go, marks_of, pixel_map, speckled_block,
+)  # fmt: skip
 
 TIMES = np.arange(FRAMES) / FPS
 GRID = np.stack(np.meshgrid(np.linspace(0, PIXELS[0], 5), np.linspace(0, PIXELS[1], 5)), -1).reshape(-1, 2)
@@ -24,15 +26,8 @@ def turns_of(pixels: float) -> np.ndarray:
     return Rotation.from_rotvec(angles - angles[0]).as_matrix()
 
 
-def maps_of(turns: np.ndarray) -> np.ndarray:
-    """The homographies (F, 3, 3) of these turns, of pixels from the middle of the first."""
-    c = camera_of()
-    lens = np.array([[c.fx, 0, c.cx - 0.5], [0, c.fy, c.cy - 0.5], [0, 0, 1]])
-    return lens @ turns @ np.linalg.inv(lens)
-
-
 def steps_off(moves: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """How far homographies (F, 3, 3) are from the true ones, over the picture (F,) [px]."""
+    """Distance (F,) [px] over the picture of homographies (F, 3, 3) from the true ones, root mean squares."""
     return np.array(
         [np.sqrt(((moved(GRID, a) - moved(GRID, b)) ** 2).mean()) for a, b in zip(moves, true, strict=True)]
     )
@@ -56,7 +51,7 @@ def take(ti_cpu):
 def test_a_hand_s_shake_is_taken_out(take, pixels):
     """Points of the thing are where a camera that stands still shows them."""
     (still, where), (shaken, masks) = take(0.0), take(pixels)
-    true = maps_of(turns_of(pixels))
+    true = pixel_map(camera_of(), turns_of(pixels))
     assert 2 * pixels < max(np.linalg.norm(moved(GRID, m) - GRID, axis=1).max() for m in true)
     assert steps_off(camera_moves(shaken, masks), true).max() < 0.25
     clip, cut, line = steadied(shaken, masks)

@@ -58,6 +58,12 @@ def camera_of() -> Camera:
     return perspective(*PIXELS, np.radians(32), look_at(middle + [-0.06, 0.12, 0.36], middle))
 
 
+def pixel_map(camera: Camera, turns: np.ndarray) -> np.ndarray:
+    """Homographies (..., 3, 3) of pixels, from the middle of the first, that turns (..., 3, 3) of a camera make."""
+    lens = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
+    return lens @ turns @ np.linalg.inv(lens)
+
+
 def filmed(asset: Asset, moving: np.ndarray, camera: Camera, seed: int = 0, turns: np.ndarray | None = None):
     """Pictures (F, H, W, 3) uint8 of the block over a mottled wall, with noise. Taichi must be running.
 
@@ -68,12 +74,11 @@ def filmed(asset: Asset, moving: np.ndarray, camera: Camera, seed: int = 0, turn
     wall = 120 + 12 * cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
     wall = np.repeat(wall[..., None], 3, 2)
     pictures = []
-    lens = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
     for x, turn in zip(moving, np.tile(np.eye(3), (len(moving), 1, 1)) if turns is None else turns, strict=True):
         drawn.move(x)
         noise, frame = 1.5 * rng.normal(size=wall.shape), np.eye(4)
         frame[:3, :3] = turn
-        behind = cv2.warpPerspective(wall, lens @ turn @ np.linalg.inv(lens), PIXELS, borderMode=cv2.BORDER_REFLECT)
+        behind = cv2.warpPerspective(wall, pixel_map(camera, turn), PIXELS, borderMode=cv2.BORDER_REFLECT)
         seen = drawn.over(behind, replace(camera, world_to_camera=frame @ camera.world_to_camera))
         pictures.append((seen + noise).clip(0, 255).astype(np.uint8))
     drawn.destroy()

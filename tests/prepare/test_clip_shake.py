@@ -12,10 +12,17 @@ from prepare.fit.clip_masks import Clip, clip_masks
 from prepare.fit.clip_shake import camera_moves, moved, shift_of, steadied
 from prepare.fit.clip_tracks import tracked
 from tests.support.filmed_block import (
-    FPS, FRAMES, PIXELS, TRUE, camera_of, filmed, let_go, marks_of, pixel_map, speckled_block,
-)  # fmt: skip
+    PIXELS,
+    TIMES,
+    TRUE,
+    camera_of,
+    filmed,
+    let_go,
+    marks_of,
+    pixel_map,
+    speckled_block,
+)
 
-TIMES = np.arange(FRAMES) / FPS
 GRID = np.stack(np.meshgrid(np.linspace(0, PIXELS[0], 5), np.linspace(0, PIXELS[1], 5)), -1).reshape(-1, 2)
 
 

@@ -17,20 +17,8 @@ from prepare.fit.fit_report import mask_pictures
 from prepare.fit.marker_tracks import MarkerTracks, noise_of, posed, surface_weights
 from prepare.progress import no_progress
 from prepare.segment.marks import ViewMarks, write_marks
-from tests.support.filmed_block import (
-    FPS,
-    FRAMES,
-    PIXELS,
-    SIZE,
-    TRUE,
-    camera_of,
-    filmed,
-    let_go,
-    marks_of,
-    speckled_block,
-)
+from tests.support.filmed_block import PIXELS, SIZE, TIMES, TRUE, camera_of, filmed, let_go, marks_of, speckled_block
 
-TIMES = np.arange(FRAMES) / FPS
 NO_PLANES = np.zeros((0, 4))
 
 

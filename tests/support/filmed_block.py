@@ -20,6 +20,7 @@ from tests.support.samples import discs
 SIZE = np.array([0.2, 0.06, 0.05])
 TRUE = Material(6e4, 0.3, 200.0, damping=3.0)
 FPS, FRAMES, PIXELS = 60, 42, (160, 120)
+TIMES = np.arange(FRAMES) / FPS  # [s]
 NAMES = ("clip.mp4", "camera.json", "marks.json")
 
 

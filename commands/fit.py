@@ -15,8 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from assets.asset import Asset
-from assets.camera_file import read_cameras, write_cameras
-from assets.file_access import atomic_write, check_writable
+from assets.file_access import atomic_write, check_writable, write_json
 from assets.library import default_material, find_asset
 from commands import options as cli
 from commands.segment import marked_photographs
@@ -24,6 +23,7 @@ from core.camera import Camera
 from core.errors import BadInput
 from core.report import Section
 from core.runtime import start_taichi
+from core.typed import to_plain
 from display.picture import save_picture
 
 if TYPE_CHECKING:
@@ -31,9 +31,10 @@ if TYPE_CHECKING:
     from prepare.fit.clip_masks import Clip
     from prepare.fit.marker_tracks import MarkerTracks
     from prepare.fit.register import CapturedPlace
+    from prepare.train.capture import View
 
 GRAVITY = np.array([0.0, -9.81, 0.0])  # [m/s^2] of the world that a clip's camera stands in
-CLIP_STEPS = ("masks", "shake", "camera", "pose", "tracks")  # of the progress, before those of a fit
+CLIP_STEPS = ("masks", "camera", "shake", "pose", "tracks")  # of the progress, before those of a fit
 STILLS = 24  # pictures of a clip whose median shows what stands still
 MARKED = 4  # pictures of a clip that are shown to be marked
 VIDEO_ONLY = ("--camera", "--capture", "--marks", "--part", "--fps", "--plane", "--release", "--preview")
@@ -187,48 +188,55 @@ def mark_clip(clip: Clip, size: tuple[int, int], path: Path) -> None:
         marked_photographs(shown, dict.fromkeys([v.name for v in views], size), path)
 
 
+def in_size(view: View, size: tuple[int, int]) -> View:
+    """The view in pictures of a size [px]. Raises BadInput if their shape is another one."""
+    return replace(view, lens=view.lens.resized(*size, str(view.image)))
+
+
 class FilmedThing:
     """A clip of the asset: where it is in the pictures, and how they compare with what was fitted."""
 
     def __init__(self, options: FitOptions, asset: Asset, progress, how: dict[str, str]):
         from display.drawn_body import DrawnBody
-        from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks
+        from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks, straightened
         from prepare.fit.clip_shake import steadied
         from prepare.fit.clip_tracks import ALIGNED_SIDE, clip_tracks
         from prepare.fit.marker_tracks import MarkerTracks
         from prepare.fit.register import CapturedPlace
         from prepare.progress import Checkpoints
+        from prepare.train.capture_files import read_camera_views
 
         planes = np.array(options.plane, float).reshape(-1, 4)
         lengths = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
         if not (np.isfinite(planes).all() and (lengths > 1e-9).all()):
             raise BadInput("--plane: the normal of a plane is zero, or a number is not finite")
-        self.clip: Clip = read_clip(options.video, options.part, options.fps)
-        size, given = self.clip.size, read_cameras(options.camera)[0] if options.camera else None
-        shown = (given.width, given.height) if given else self.clip.filmed
-        if given is None:
-            place = CapturedPlace.of(options.capture, find_asset(options.asset))
+        clip: Clip = read_clip(options.video, options.part, options.fps)
+        size = clip.size
+        if options.camera:
+            (view,) = read_camera_views(options.camera, [options.video])
+            view, shown = in_size(view, size), (view.lens.width, view.lens.height)
+        else:
+            view, shown, place = None, clip.filmed, CapturedPlace.of(options.capture, find_asset(options.asset))
             how["capture"] = place.key
-        elif abs(given.width / given.height - size[0] / size[1]) > 0.01:
-            raise BadInput(
-                f"{options.camera}: is of pictures of {given.width}x{given.height}, which have another shape than"
-                f" {options.video}"
-            )
         strokes = options.marks or options.video.with_suffix(".marks.json")
         if not strokes.is_file():
-            mark_clip(self.clip, shown, strokes)
-        marks, held = read_clip_marks(strokes, self.clip, shown)
+            mark_clip(clip, shown, strokes)
+        marks, held = read_clip_marks(strokes, clip, shown)
         how |= {name: repr(getattr(options, name)) for name in ("part", "fps", "plane", "release", "fov")}
         how |= {str(file): file.read_text(encoding="utf-8") for file in filter(None, (options.camera, strokes))}
         self.kept = Checkpoints(options.video, how)
         keep = self.kept.step
-        self.masks = keep("masks", lambda: {"m": clip_masks(self.clip, marks, lambda d: progress("masks", d))})["m"]
+        masks = keep("masks", lambda: {"m": clip_masks(clip, marks, lambda d: progress("masks", d))})["m"]
         progress("masks", 1.0)
-        self.clip, self.masks, self.shake = steadied(self.clip, self.masks, lambda d: progress("shake", d))
+        if view is None:
+            view = self.found_view(options, place, *steadied(clip, masks)[:2], progress)
+        clip, masks = straightened(clip, masks, view.lens)
+        held = view.lens.undistort_points(held.reshape(-1, 2)).reshape(-1, 4)
+        self.clip, self.masks, self.shake = steadied(clip, masks, lambda d: progress("shake", d))
         progress("shake", 1.0)
         progress.close()
         print(self.shake)
-        self.camera: Camera = given.resized(*size) if given else self.found_camera(options, place, progress)
+        self.camera: Camera = view.camera()
         start_taichi(options.arch)
         self.drawn: DrawnBody = DrawnBody(asset, *(max(n, ALIGNED_SIDE) for n in size))
         blank = MarkerTracks(
@@ -244,24 +252,26 @@ class FilmedThing:
         progress("tracks", 1.0)
         self.tracks: MarkerTracks = replace(blank, **{**arrays, "metres": float(arrays["metres"])})
 
-    def found_camera(self, options: FitOptions, place: CapturedPlace, progress) -> Camera:
+    def found_view(self, options: FitOptions, place: CapturedPlace, clip: Clip, masks: np.ndarray, progress) -> View:
         """The clip's camera, found by what stands still in it, printed and written. Raises BadInput."""
         from prepare.fit.clip_masks import backdrop_of
+        from prepare.train.capture import Lens, View
 
         def make() -> dict[str, np.ndarray]:
-            step = -(-len(self.masks) // STILLS)
-            still = backdrop_of(self.clip.pictures[::step], self.masks[::step])
+            step = -(-len(masks) // STILLS)
+            still = backdrop_of(clip.pictures[::step], masks[::step])
             found = place.found_camera(still, str(options.video), options.fov, lambda d: progress("camera", d))
-            camera, line = found.camera, np.array(found.described())
-            return {"pose": camera.world_to_camera, "focal": np.array(camera.fx), "line": line}
+            lens, line = np.array([found.camera.fx, found.k1]), np.array(found.described())
+            return {"pose": found.camera.world_to_camera, "lens": lens, "line": line}
 
-        kept, (width, height) = self.kept.step("camera", make), self.clip.size
-        focal = float(kept["focal"])
-        camera = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, kept["pose"])
-        write_cameras(camera_file(options), [camera.resized(*self.clip.filmed)])
+        kept, (width, height) = self.kept.step("camera", make), clip.size
+        focal, k1 = kept["lens"].tolist()
+        lens = Lens(width, height, focal, focal, 0.5 * width, 0.5 * height, (k1,))
+        view = View(options.video, lens, kept["pose"])
+        write_json(camera_file(options), to_plain(view.camera().resized(*clip.filmed)) | ({"k1": k1} if k1 else {}))
         progress.close()
         print(f"{kept['line']}; wrote {camera_file(options)}")
-        return camera
+        return view
 
     def sections(self) -> list[Section]:
         """Masks and tracks in some pictures, and the body as it was found in the first, for the report."""

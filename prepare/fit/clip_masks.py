@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -11,6 +11,7 @@ import numpy as np
 from core.errors import BadInput
 from prepare.segment.marks import ViewMarks, drawn_boxes, drawn_strokes, read_marks
 from prepare.segment.mask_propagation import BAND, STROKE_WIDTH, border_band, cut_objects, grab_cut
+from prepare.train.capture import Lens
 
 LONGEST_SIDE = 640  # [px]; larger pictures are reduced: what is tracked moves by tenths of a pixel in these, too
 MOST_FRAMES, FEWEST_FRAMES = 480, 12
@@ -73,6 +74,18 @@ def read_clip(path: Path, part: tuple[float, float] | None = None, fps: float | 
     if (np.diff(seconds) <= 0).any():  # a container without times
         seconds = np.arange(len(pictures)) / rate
     return Clip(np.stack(pictures), seconds - seconds[0], first, str(path), filmed)
+
+
+def straightened(clip: Clip, masks: np.ndarray, lens: Lens) -> tuple[Clip, np.ndarray]:
+    """The clip and masks (F, H, W) as the lens's pinhole camera sees them. Raises BadInput where nothing is left."""
+    if not lens.distorts:
+        return clip, masks
+    every = np.ones(masks.shape[1:], bool)
+    pictures, known = zip(*(lens.undistort(p, every) for p in clip.pictures), strict=True)
+    if not known[0].any():
+        raise BadInput(f"{clip.where}: its lens, {lens.distortion}, distorts it so much that no pixel is left")
+    cut = np.stack([lens.undistort_labels(m.astype(np.uint8)) > 0 for m in masks])
+    return replace(clip, pictures=np.stack(pictures)), cut
 
 
 def read_clip_marks(path: Path, clip: Clip, full: tuple[int, int]) -> tuple[dict[int, ViewMarks], np.ndarray]:

@@ -2,7 +2,8 @@
 
 A feature of the picture that photographs show from apart is a point in space, and the camera is the one in which most
 of these points are where the picture has them: three of them and a focal length give a pose (RANSAC), all that agree
-give pose and focal length (least squares). The lens is straight, and its axis goes through the middle of the picture.
+give pose and focal length (least squares), and one coefficient k1 of the lens where it is sure, else the lens is
+straight. Its axis goes through the middle of the picture.
 """
 
 from __future__ import annotations
@@ -33,29 +34,36 @@ OFF = 3.0  # [px] from where a point is seen: several times the deviation of tho
 FEWEST = 16  # points that agree: four always do; with photographs of other places there were at most twelve points
 SURE = 0.03  # most standard error of a field of view, relative to it: by the points alone, the truth is farther off
 FOCALS = np.geomspace(0.4, 4.0, 8)  # longest sides of the picture (103 to 14 degrees); least squares go on from there
+UNSURE = 3.0  # standard errors of k1: a lens that may move no corner of the picture by OFF is taken for straight
 ROUNDS = 5  # of least squares over the points that agree, which then are others
 
 
 @dataclass(frozen=True)
 class FoundCamera:
     """A camera; `agree` of `points` are where it sees them, to `residual` [px]; `error`: a standard deviation [degrees]
-    of its vertical field of view."""
+    of its vertical field of view. `k1`: of the lens's distortion, 0 where it is not sure."""
 
     camera: Camera
     agree: int
     points: int
     residual: float
     error: float
+    k1: float = 0.0
 
     @property
     def fov(self) -> float:
         """Vertical field of view [degrees]."""
         return 2 * float(np.degrees(np.arctan(0.5 * self.camera.height / self.camera.fy)))
 
+    def rank(self) -> tuple[float, float]:
+        """The greater, the better it is."""
+        return self.agree, -self.residual
+
     def described(self) -> str:
         """A line for the user."""
         fit = f"{self.agree} of {self.points} points agree, to {self.residual:.2f} px"
-        return f"camera: vertical field of view {self.fov:.2f} ± {self.error:.2f} degrees; {fit}"
+        lens = f", k1 {self.k1:.3f}" if self.k1 else ""
+        return f"camera: vertical field of view {self.fov:.2f} ± {self.error:.2f} degrees{lens}; {fit}"
 
 
 @dataclass(frozen=True)
@@ -176,9 +184,16 @@ def triangulated(seen: np.ndarray, cameras: list[Camera]) -> np.ndarray:
     return points
 
 
-def offsets(camera: Camera, points: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Distance (N,) [px] of points (N, 3) from their places (N, 2) in the picture; inf behind the camera."""
+def bent(camera: Camera, points: np.ndarray, k1: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As `camera.projected` of points (N, 3), through a lens with the distortion k1."""
     x, y, depth = camera.projected(points)
+    away = k1 * (((x - camera.cx) / camera.fx) ** 2 + ((y - camera.cy) / camera.fy) ** 2)
+    return x + away * (x - camera.cx), y + away * (y - camera.cy), depth
+
+
+def offsets(camera: Camera, points: np.ndarray, places: np.ndarray, k1: float = 0.0) -> np.ndarray:
+    """Distance (N,) [px] of points (N, 3) from their places (N, 2) in the picture; inf behind the camera."""
+    x, y, depth = bent(camera, points, k1)
     return np.where(depth > 0, np.hypot(x - places[:, 0], y - places[:, 1]), np.inf)
 
 
@@ -192,32 +207,50 @@ def camera_by(points: np.ndarray, places: np.ndarray, size: tuple[int, int], fov
         good, turn, shift, _ = cv2.solvePnPRansac(points, places, lens, None, **how)
         if good:
             start = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, np.eye(4))
-            start = moved(start, np.r_[turn.ravel(), shift.ravel()])
-            found.append(refined(start, points, places, 7 if fov is None else 6))
-    return max(filter(None, found), key=lambda f: (f.agree, -f.residual), default=None)
+            start = moved(start, np.r_[turn.ravel(), shift.ravel(), 0.0])
+            found.append(refined(start, points, places, fov is None))
+    best = max(filter(None, found), key=FoundCamera.rank, default=None)
+    bends = best and refined(best.camera, points, places, fov is None, bends=True)
+    return max(filter(None, (best, bends)), key=FoundCamera.rank, default=None)
 
 
 def moved(camera: Camera, by: np.ndarray) -> Camera:
-    """A camera whose frame is turned and shifted, by (6,), its focal length times exp(by[6]) if there are seven."""
-    step, focal = np.eye(4), camera.fx * np.exp(by[6:].sum())
+    """A camera whose frame is turned and shifted, by (7,), and its focal length times exp(by[6])."""
+    step, focal = np.eye(4), camera.fx * np.exp(by[6])
     step[:3, :3], step[:3, 3] = Rotation.from_rotvec(by[:3]).as_matrix(), by[3:6]
     return replace(camera, fx=focal, fy=focal, world_to_camera=step @ camera.world_to_camera)
 
 
-def refined(camera: Camera, points: np.ndarray, places: np.ndarray, free: int) -> FoundCamera | None:
-    """The camera nearby that fits all points that agree with it; None if these are too few. free  numbers of `moved`"""
+def refined(
+    camera: Camera, points: np.ndarray, places: np.ndarray, zooms: bool, bends: bool = False
+) -> FoundCamera | None:
+    """The camera nearby that fits all points that agree with it; None if these are too few, or k1 is not sure.
 
-    def residuals(by: np.ndarray, camera: Camera, use: np.ndarray) -> np.ndarray:
-        x, y, _ = moved(camera, by).projected(points[use])
+    zooms, bends  whether the focal length, and k1 of the lens, are found
+    """
+    free, k1 = np.r_[:6, [6] * zooms, [7] * bends].astype(int), 0.0
+
+    def step(some: np.ndarray) -> np.ndarray:
+        by = np.zeros(8)
+        by[free] = some
+        return by
+
+    def residuals(some: np.ndarray, camera: Camera, k1: float, use: np.ndarray) -> np.ndarray:
+        by = step(some)
+        x, y, _ = bent(moved(camera, by), points[use], k1 + by[7])
         return np.r_[x - places[use, 0], y - places[use, 1]]
 
     for _ in range(ROUNDS):
-        use = offsets(camera, points, places) < OFF
+        use = offsets(camera, points, places, k1) < OFF
         if use.sum() < FEWEST:
             return None
-        fit = least_squares(residuals, np.zeros(free), method="lm", x_scale="jac", args=(camera, use))
-        camera = moved(camera, fit.x)
-    deviation = np.sqrt(2 * fit.cost / (len(fit.fun) - free))  # of a coordinate [px]
-    found = FoundCamera(camera, int(use.sum()), len(points), float(np.sqrt(2) * deviation), 0.0)
-    error = deviation * np.sqrt(np.linalg.inv(fit.jac.T @ fit.jac)[6:, 6:].sum())  # of the log of the focal length
-    return replace(found, error=float(np.degrees(np.sin(np.radians(found.fov)) * error)))
+        fit = least_squares(residuals, np.zeros(len(free)), method="lm", x_scale="jac", args=(camera, k1, use))
+        by = step(fit.x)
+        camera, k1 = moved(camera, by), k1 + by[7]
+    deviation = np.sqrt(2 * fit.cost / (len(fit.fun) - len(free)))  # of a coordinate [px]
+    error = step(deviation * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))))
+    corner = 0.5 * np.hypot(camera.width, camera.height)  # from the middle [px]
+    if bends and not (abs(k1) - UNSURE * error[7]) * corner**3 / camera.fx**2 > OFF:
+        return None
+    found = FoundCamera(camera, int(use.sum()), len(points), float(np.sqrt(2) * deviation), 0.0, float(k1))
+    return replace(found, error=float(np.degrees(np.sin(np.radians(found.fov)) * error[6])))

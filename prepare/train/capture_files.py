@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from os.path import isfile
@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from assets.camera_file import parse_camera
 from assets.file_access import read_json
 from assets.formats.ply import read_vertices
 from assets.gaussians import MAGNITUDE_MAX
@@ -235,17 +236,30 @@ def read_record3d(metadata: Path, images: str) -> Capture:
     return Capture(metadata.parent, views)
 
 
-def _frame_lens(where: str, values: dict, image: Path) -> Lens:
-    def number(name: str, default: float | None = None) -> float | None:
-        value = values.get(name)
-        if value is None:
-            return default
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise BadInput(f"{where}: {name} is not a number")
-        if isinstance(value, int) and abs(value) > MAGNITUDE_MAX:
-            raise BadInput(f"{where}: {name} is too large")
-        return value
+def _number(where: str, values: dict, name: str, default: float | None = None) -> float | None:
+    value = values.get(name)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise BadInput(f"{where}: {name} is not a number")
+    if isinstance(value, int) and abs(value) > MAGNITUDE_MAX:
+        raise BadInput(f"{where}: {name} is too large")
+    return value
 
+
+def _distortion(where: str, values: dict) -> tuple[tuple[float, ...], bool]:
+    """`distortion` and `fisheye` of a Lens. Raises BadInput."""
+    model = values.get("camera_model", "OPENCV")
+    if model not in TRANSFORMS_MODELS:
+        raise BadInput(
+            f"{where}: camera_model {model!r} is not known; undistort it to one of {', '.join(TRANSFORMS_MODELS)}"
+        )
+    fisheye = model == "OPENCV_FISHEYE" or values.get("is_fisheye") is True
+    return tuple(_number(where, values, k, 0.0) for k in (FISHEYE if fisheye else DISTORTION)), fisheye
+
+
+def _frame_lens(where: str, values: dict, image: Path) -> Lens:
+    number = partial(_number, where, values)
     width, height = number("w"), number("h")
     if width is None or height is None:
         width, height = image_size(image) if isfile(image) else (SIDE_MISSING, SIDE_MISSING)
@@ -257,17 +271,26 @@ def _frame_lens(where: str, values: dict, image: Path) -> Lens:
         fx = 0.5 * width / math.tan(0.5 * angle)
         if fy is None and high is not None and 0.0 < high < math.pi:
             fy = 0.5 * height / math.tan(0.5 * high)
-    model = values.get("camera_model", "OPENCV")
-    if model not in TRANSFORMS_MODELS:
-        raise BadInput(
-            f"{where}: camera_model {model!r} is not known; undistort it to one of {', '.join(TRANSFORMS_MODELS)}"
-        )
-    fisheye = model == "OPENCV_FISHEYE" or values.get("is_fisheye") is True
-    distortion = tuple(number(k, 0.0) for k in (FISHEYE if fisheye else DISTORTION))
+    bent = _distortion(where, values)
     if any(isinstance(n, float) and not math.isfinite(n) for n in (width, height)):
         raise BadInput(f"{where}: the size is not finite")
     cx, cy = number("cx", 0.5 * width), number("cy", 0.5 * height)
-    return Lens(int(width), int(height), fx, fx if fy is None else fy, cx, cy, distortion, fisheye)
+    return Lens(int(width), int(height), fx, fx if fy is None else fy, cx, cy, *bent)
+
+
+def read_camera_views(path: Path, images: Sequence[Path]) -> list[View]:
+    """Views of images, or videos, through the cameras of a CAM.json, one for each: in it a camera may have distortion
+    in the words of transforms.json, and another size than the next. Raises BadInput."""
+    data = read_json(path, FILE_MAX)
+    items, views = data if isinstance(data, list) else [data], []
+    if len(items) != len(images):
+        raise BadInput(f"{path}: holds {len(items)} cameras, for {len(images)} videos")
+    for k, (item, image) in enumerate(zip(items, images, strict=True)):
+        c = parse_camera(f"{path}: camera {k}", item)
+        lens = Lens(c.width, c.height, c.fx, c.fy, c.cx, c.cy, *_distortion(f"{path}: camera {k}", item))
+        lens.check(f"{path}: camera {k}")
+        views.append(View(image, lens, c.world_to_camera))
+    return views
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 
 from assets.asset import Asset, Cage
-from assets.camera_file import read_cameras, write_cameras
+from assets.camera_file import write_cameras
+from assets.file_access import write_json
 from commands.marking import state_of
 from commands.parser import parse
 from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import boundary_surface
+from core.typed import to_plain
+from prepare.fit.clip_masks import straightened
 from prepare.fit.register import FoundCamera
+from prepare.train.capture_files import read_camera_views
 from tests.support.filmed_block import (
     FPS,
     FRAMES,
@@ -135,16 +139,19 @@ def test_a_camera_that_is_found_is_written_to_be_given_again(filmed, tmp_path, c
     words = words.format(f=filmed, t=tmp_path)
     with pytest.raises(BadInput, match=r"clip\.mp4: the clip shows too little of what .*/c shows"):
         run(words)
-    found = FoundCamera(camera_of(), 40, 50, 0.5, 0.2)
+    found, lenses = FoundCamera(camera_of(), 40, 50, 0.5, 0.2, -0.02), []
     monkeypatch.setattr("prepare.fit.register.CapturedPlace.found_camera", lambda *_: found)
+    of_lens = "prepare.fit.clip_masks.straightened"
+    monkeypatch.setattr(of_lens, lambda *what: lenses.append(what[2]) or straightened(*what))
     run(words)
     monkeypatch.setattr("prepare.fit.register.CapturedPlace.found_camera", None)  # what was found is kept
     run(words)
-    said = "camera: vertical field of view 32.00 ± 0.20 degrees; 40 of 50 points agree, to 0.50 px; wrote "
+    said = "camera: vertical field of view 32.00 ± 0.20 degrees, k1 -0.020; 40 of 50 points agree, to 0.50 px; wrote "
     assert capsys.readouterr().out.count(f"{said}{tmp_path}/o.camera.json\n") == 2
-    written = read_cameras(tmp_path / "o.camera.json")[0]
+    (written,) = read_camera_views(tmp_path / "o.camera.json", [tmp_path / "c.mp4"])
     np.testing.assert_allclose(written.world_to_camera, camera_of().world_to_camera)
-    assert (written.width, written.height, written.fx) == (*PIXELS, camera_of().fx)
+    assert (written.lens.width, written.lens.height, written.lens.fx) == (*PIXELS, camera_of().fx)
+    assert [lens.distortion[0] for lens in (*lenses, written.lens)] == [-0.02] * 3
 
 
 def test_without_marks_pictures_are_shown_to_be_marked(filmed, tmp_path, monkeypatch):
@@ -192,7 +199,9 @@ def test_the_material_of_a_block_is_found_from_a_film(filmed, tmp_path, capsys, 
         (VIDEO + " --release 0", "is after the first picture"),
         (VIDEO.replace("clip.mp4", "none.mp4"), "none.mp4: no such file"),
         (VIDEO.replace("clip.mp4", "marks.json", 1), "cannot be read as a video"),
-        (VIDEO.replace("camera.json", "wide.json"), "which have another shape"),
+        (VIDEO.replace("camera.json", "wide.json"), r"clip.mp4: the image is 160x120, its camera 400x100"),
+        (VIDEO.replace("camera.json", "two.json"), "two.json: holds 2 cameras, for 1 videos"),
+        (VIDEO.replace("camera.json", "bent.json"), "bent.json: camera 0: k1 is not a number"),
         ("fit {f}/block.h5 --from-trajectory p.npz --part 0 1 --out {t}/o.h5", "--part belongs to a video"),
     ],
 )
@@ -200,6 +209,8 @@ def test_what_is_wrong_with_a_film_is_said_in_one_line(filmed, tmp_path, words, 
     monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
     write_cameras(filmed / "wide.json", [camera_of().resized(400, 100)])
+    write_cameras(filmed / "two.json", [camera_of()] * 2)
+    write_json(filmed / "bent.json", to_plain(camera_of()) | {"k1": "much"})
     with pytest.raises(BadInput, match=said) as e:
         run(words.format(f=filmed, t=tmp_path))
     assert "\n" not in str(e.value) and not (tmp_path / "o.h5").exists()

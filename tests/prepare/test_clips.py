@@ -11,12 +11,13 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from display.drawn_body import DrawnBody
 from display.headless.video import Video
-from prepare.fit.clip_masks import Clip, backdrop_of, clip_masks, read_clip, read_clip_marks
+from prepare.fit.clip_masks import Clip, backdrop_of, clip_masks, read_clip, read_clip_marks, straightened
 from prepare.fit.clip_tracks import ALIGNED_SIDE, clip_tracks, found_pose, resting, tracked
 from prepare.fit.fit_report import mask_pictures
 from prepare.fit.marker_tracks import MarkerTracks, noise_of, posed, surface_weights
 from prepare.progress import no_progress
 from prepare.segment.marks import ViewMarks, write_marks
+from prepare.train.capture import Lens
 from tests.support.filmed_block import PIXELS, SIZE, TIMES, TRUE, camera_of, filmed, let_go, marks_of, speckled_block
 
 NO_PLANES = np.zeros((0, 4))
@@ -189,6 +190,22 @@ def test_what_stands_still_behind_is_seen_between_the_pictures(clip, true_masks,
     outside = ~(cv2.dilate(true_masks.any(0).astype(np.uint8), np.ones((9, 9))) > 0)  # of what it softly covers, too
     usual = np.median(clip.pictures, axis=0)
     assert np.abs(behind[outside] - usual[outside]).max() < 4 and behind.min() > 70 and behind.max() < 160
+
+
+def test_pictures_and_masks_are_straightened_by_the_lens(clip, true_masks):
+    """The lens's picture is made by where the pinhole camera has each of its pixels."""
+    camera = camera_of()
+    lens = Lens(*PIXELS, camera.fx, camera.fy, camera.cx, camera.cy, (-0.8,))
+    places = lens.undistort_points(np.mgrid[: PIXELS[0], : PIXELS[1]].reshape(2, -1).T + 0.5) - 0.5
+    at = places.astype(np.float32).reshape(*PIXELS, 2).swapaxes(0, 1).copy()
+    bent = [cv2.remap(p, at, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE) for p in clip.pictures[:3]]
+    cut = np.stack([lens.distort_labels(m.astype(np.uint8)) > 0 for m in true_masks[:3]])
+    straight, masks = straightened(replace(clip, pictures=np.stack(bent)), cut, lens)
+    true, block = clip.pictures[:3].astype(int), true_masks[:3]
+    assert np.abs(straight.pictures - true)[block].mean() < 0.4 * np.abs(np.stack(bent) - true)[block].mean()
+    assert (masks ^ block).sum() < 0.02 * block.sum() < (cut ^ block).sum()
+    with pytest.raises(BadInput, match=r"clip: its lens, .* distorts it so much that no pixel is left"):
+        straightened(clip, true_masks, replace(lens, cx=-9e5))
 
 
 def film(folder, pictures, fps=30.0, name="c.mp4"):

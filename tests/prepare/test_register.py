@@ -11,7 +11,7 @@ from assets.room_folder import RoomManifest, RoomObject, write_room
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.rotation import quaternions_from_matrices
-from prepare.fit.register import CapturedPlace, matched
+from prepare.fit.register import CapturedPlace, camera_by, matched
 from tests.support import patterned_room as made
 
 NO_ROOM = made.Path("bear.h5")
@@ -41,7 +41,7 @@ def place(folder):
     return CapturedPlace.of(folder, NO_ROOM)
 
 
-@pytest.mark.parametrize(("fov", "given"), [(20.0, None), (41.0, None), (85.0, None), (41.0, 41.0)])
+@pytest.mark.parametrize(("fov", "given"), [(20.0, None), (41.0, None), (85.0, None), (85.0, 85.0)])
 def test_pose_and_focal_length_are_found(place, fov, given):
     """The thing is in front and hides a part; there is noise."""
     true = true_camera(fov)
@@ -55,8 +55,21 @@ def test_pose_and_focal_length_are_found(place, fov, given):
     assert np.linalg.norm(off[:3, 3]) < 0.01 * np.linalg.norm(true.position - MIDDLE)
     assert_allclose([camera.fx, camera.fy], true.fx, rtol=0.02)
     assert abs(found.fov - fov) < 4 * found.error + 1e-9 and (found.error > 0) == (given is None)
-    assert found.agree > 60 and found.residual < 1.5 and f"{found.agree} of" in found.described()
+    assert found.agree > 60 and found.residual < 1.5 and found.k1 == 0 and f"{found.agree} of" in found.described()
     assert camera.world_to_camera[1, 1] < -0.8  # upright
+
+
+def test_a_lens_that_bends_is_found(place):
+    found = place.found_camera(made.photographed(made.corner_of_a_room(1), true_camera(60.0), (-0.15,)), "clip")
+    assert abs(found.k1 + 0.15) < 0.003 and abs(found.fov - 60) < 0.2 and f"k1 {found.k1:.3f}" in found.described()
+
+
+def test_a_bend_that_few_points_do_not_show_is_not_taken():
+    """Sixteen points in the middle of the picture, 0.5 px off: by least squares k1 is -1, and not sure."""
+    rng, true = np.random.default_rng(0), true_camera()
+    points = MIDDLE + 0.25 * rng.uniform(-1, 1, (16, 3))
+    places = np.stack(true.projected(points)[:2], 1) + 0.5 * rng.normal(size=(16, 2))
+    assert camera_by(points, places, (480, 360), 41.0).k1 == 0
 
 
 @pytest.mark.parametrize("shown", [made.corner_of_a_room(2), []], ids=["another room", "nothing"])

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from core.camera import Camera, look_at, perspective
+from prepare.train.capture import Lens
 from prepare.train.capture_files import OPENGL_TO_OPENCV
 
 Quad = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # corner and two edges [m], (3,), and pattern (S, S, 3)
@@ -33,10 +34,12 @@ def corner_of_a_room(seed: int) -> list[Quad]:
     return [*walls, *box(rng, (-0.6, 0, -1.2), (1.1, 0.7, 0.6))]
 
 
-def photographed(quads: list[Quad], camera: Camera) -> np.ndarray:
-    """The picture (H, W, 3) uint8, of four rays a pixel."""
+def photographed(quads: list[Quad], camera: Camera, distortion: tuple[float, ...] = ()) -> np.ndarray:
+    """The picture (H, W, 3) uint8, of four rays a pixel, through a lens with OpenCV's coefficients."""
     wide = camera.resized(2 * camera.width, 2 * camera.height)
-    y, x = np.mgrid[: wide.height, : wide.width] + 0.5
+    lens = Lens(wide.width, wide.height, wide.fx, wide.fy, wide.cx, wide.cy, distortion)
+    places = np.mgrid[: wide.width, : wide.height].reshape(2, -1).T + 0.5
+    x, y = lens.undistort_points(places).T.reshape(2, wide.width, wide.height).swapaxes(1, 2)
     rays = np.stack([(x - wide.cx) / wide.fx, (y - wide.cy) / wide.fy, np.ones_like(x)], 2)
     rays = rays @ wide.world_to_camera[:3, :3]
     picture, nearest = np.full((*x.shape, 3), 90, np.float32), np.full(x.shape, np.inf)

@@ -25,12 +25,14 @@ from core.report import Section
 from core.runtime import start_taichi
 from core.typed import to_plain
 from display.picture import save_picture
+from prepare.segment.marks import read_marks, read_points
+from prepare.train.photographs import image_size
 
 if TYPE_CHECKING:
     from display.drawn_body import DrawnBody
     from prepare.fit.clip_masks import Clip
     from prepare.fit.marker_tracks import MarkerTracks
-    from prepare.fit.register import CapturedPlace
+    from prepare.fit.register import CapturedPlace, FoundCamera
     from prepare.train.capture import View
 
 GRAVITY = np.array([0.0, -9.81, 0.0])  # [m/s^2] of the world that a clip's camera stands in
@@ -73,8 +75,9 @@ class FitOptions(cli.Options):
     fov: Angle | None = cli.option("DEG", "vertical field of view of the video, where it is known [degrees]")
     marks: Path | None = cli.option(
         "MARKS.json",
-        'strokes and boxes on the thing in frame_0000 and others, boxes of "held" around what stands still; by default '
-        "a window opens to draw them, and they are saved beside the video",
+        'strokes and boxes on the thing in frame_0000 and others, boxes of "held" around what stands still, and points '
+        "of the place for --capture (docs/formats.md); by default a window opens to draw them, and they are saved "
+        "beside the video",
     )
     part: tuple[float, float] | None = cli.option(("BEGIN", "END"), "the part of the video that counts [s]")
     fps: cli.Amount | None = cli.option("N", "pictures taken in a second, where the file plays slower or faster")
@@ -173,19 +176,27 @@ def write_page(path: Path, page: str) -> None:
         beside.write_text(page, encoding="utf-8")
 
 
-def mark_clip(clip: Clip, size: tuple[int, int], path: Path) -> None:
+def mark_clip(clip: Clip, size: tuple[int, int], path: Path, place: CapturedPlace | None) -> None:
     """Draw marks in a window, on some pictures of a clip in their size [px], and save them.
+
+    place  whose photographs are shown, too, for points of it
 
     Raises BadInput without a display, Cancelled if the user leaves without saving.
     """
+    names = {f"frame_{clip.first + k:04d}": k for k in range(len(clip.pictures))}
+    shown = set(np.linspace(0, len(names) - 1, MARKED).round().astype(int).tolist())
+    photographs = place.capture.views if place else []
+    sizes = dict.fromkeys(names, size) | {v.name: image_size(v.image) for v in photographs}
+    if path.is_file():
+        shown |= {names[view] for view in read_marks(path, sizes).views if view in names}
     with tempfile.TemporaryDirectory() as folder:
         views = []
-        for k in np.linspace(0, len(clip.pictures) - 1, MARKED).round().astype(int):
-            view = SimpleNamespace(name=f"frame_{clip.first + k:04d}", image=Path(folder) / f"{k}.png")
-            save_picture(view.image, cv2.resize(clip.pictures[k], size))
-            views.append(view)
-        shown = SimpleNamespace(views=views, folder=Path(clip.where))
-        marked_photographs(shown, dict.fromkeys([v.name for v in views], size), path)
+        for name, k in names.items():
+            if k in shown:
+                views.append(SimpleNamespace(name=name, image=Path(folder) / f"{name}.png"))
+                save_picture(views[-1].image, cv2.resize(clip.pictures[k], size))
+        subject = SimpleNamespace(views=[*views, *photographs], folder=Path(clip.where))
+        marked_photographs(subject, sizes, path, numbered=place is not None)
 
 
 def in_size(view: View, size: tuple[int, int]) -> View:
@@ -215,12 +226,13 @@ class FilmedThing:
         if options.camera:
             (view,) = read_camera_views(options.camera, [options.video])
             view, shown = in_size(view, size), (view.lens.width, view.lens.height)
+            place = None
         else:
             view, shown, place = None, clip.filmed, CapturedPlace.of(options.capture, find_asset(options.asset))
             how["capture"] = place.key
         strokes = options.marks or options.video.with_suffix(".marks.json")
         if not strokes.is_file():
-            mark_clip(clip, shown, strokes)
+            mark_clip(clip, shown, strokes, place)
         marks, held = read_clip_marks(strokes, clip, shown)
         how |= {name: repr(getattr(options, name)) for name in ("part", "fps", "plane", "release", "fov")}
         how |= {str(file): file.read_text(encoding="utf-8") for file in filter(None, (options.camera, strokes))}
@@ -229,7 +241,7 @@ class FilmedThing:
         masks = keep("masks", lambda: {"m": clip_masks(clip, marks, lambda d: progress("masks", d))})["m"]
         progress("masks", 1.0)
         if view is None:
-            view = self.found_view(options, place, *steadied(clip, masks)[:2], progress)
+            view = self.found_view(options, place, *steadied(clip, masks)[:2], strokes, progress)
         clip, masks = straightened(clip, masks, view.lens)
         held = view.lens.undistort_points(held.reshape(-1, 2)).reshape(-1, 4)
         self.clip, self.masks, self.shake = steadied(clip, masks, lambda d: progress("shake", d))
@@ -252,15 +264,35 @@ class FilmedThing:
         progress("tracks", 1.0)
         self.tracks: MarkerTracks = replace(blank, **{**arrays, "metres": float(arrays["metres"])})
 
-    def found_view(self, options: FitOptions, place: CapturedPlace, clip: Clip, masks: np.ndarray, progress) -> View:
-        """The clip's camera, found by what stands still in it, printed and written. Raises BadInput."""
+    def found_view(self, options, place: CapturedPlace, clip: Clip, masks: np.ndarray, strokes: Path, progress) -> View:
+        """The clip's camera, found by what stands still in it or by marked points, printed and written.
+
+        Where neither shows it and there is a display, points can be marked. Raises BadInput.
+        """
         from prepare.fit.clip_masks import backdrop_of
         from prepare.train.capture import Lens, View
 
-        def make() -> dict[str, np.ndarray]:
+        def made(points: dict) -> FoundCamera:
+            if points:
+                return place.clicked_camera(points, clip, clip.filmed, options.fov)
             step = -(-len(masks) // STILLS)
             still = backdrop_of(clip.pictures[::step], masks[::step])
-            found = place.found_camera(still, str(options.video), options.fov, lambda d: progress("camera", d))
+            return place.found_camera(still, str(options.video), options.fov, lambda d: progress("camera", d))
+
+        def make() -> dict[str, np.ndarray]:
+            try:
+                found = made(read_points(strokes))
+            except BadInput as e:
+                from display.window.gl_window import has_display
+
+                if not has_display():
+                    raise
+                progress.close()
+                print(f"{e}\nthe window is for points that the clip and photographs show", file=sys.stderr)
+                mark_clip(clip, clip.filmed, strokes, place)
+                if not (points := read_points(strokes)):
+                    raise
+                found = made(points)
             lens, line = np.array([found.camera.fx, found.k1]), np.array(found.described())
             return {"pose": found.camera.world_to_camera, "lens": lens, "line": line}
 

@@ -35,7 +35,8 @@ def state_of(marks: Marks, grow: dict[str, int]) -> MarkState:
                 Mark(name, view, kind, tuple(map(tuple, s))) for kind in ("inside", "outside") for s in vars(m)[kind]
             ]
             found += [Mark(name, view, "boxes", tuple(map(tuple, b.reshape(2, 2)))) for b in m.boxes]
-    return MarkState(tuple(marks.objects), tuple(found), dict(grow))
+    points = {view: tuple(row) for view, row in marks.points.items()}
+    return MarkState(tuple(marks.objects) or MarkState.objects, tuple(found), dict(grow), points)
 
 
 def marks_of_state(state: MarkState) -> Marks:
@@ -47,7 +48,7 @@ def marks_of_state(state: MarkState) -> Marks:
         points = np.array(mark.points, np.float64)
         getattr(own, mark.kind).append(points.ravel() if mark.kind == "boxes" else points)
     order = {name: marks.objects[name] for name in state.objects if name in marks.objects}
-    return Marks(order)
+    return Marks(order, {view: list(row) for view, row in state.points.items() if any(row)})
 
 
 def edit_of(marks: Marks, grow: dict[str, int]) -> MarkEdit:
@@ -58,7 +59,7 @@ def edit_of(marks: Marks, grow: dict[str, int]) -> MarkEdit:
 class SplatSubject:
     """A splat that is marked from a free camera; a Subject of MarkWindow. Taichi must be running."""
 
-    size, version = PICTURE_SIZE, 0
+    size, version, numbered = PICTURE_SIZE, 0, False
 
     def __init__(self, gaussians: Gaussians, marks: SplatMarks):
         from display.mark.mark_window import FreeView
@@ -108,11 +109,12 @@ class SplatSubject:
 
 class PhotographSubject:
     """Photographs that are marked; a Subject of MarkWindow. What is selected is a first idea: each photograph is cut
-    by its own marks alone, at a small size."""
+    by its own marks alone, at a small size. `numbered`: points of the place are marked, too."""
 
     free = None
 
-    def __init__(self, views: Sequence):
+    def __init__(self, views: Sequence, numbered: bool = False):
+        self.numbered = numbered
         self._views = {view.name: view for view in views}
         self.views, self._state = list(self._views), MarkState()
         self._shown = self.views[0]

@@ -129,9 +129,10 @@ def segment_capture(options: SegmentOptions) -> None:
     print(f"{options.out}: {len(masks.ids)} masks, {time.perf_counter() - start:.0f} s")
 
 
-def marked_photographs(capture, sizes: dict[str, tuple[int, int]], path: Path):
+def marked_photographs(capture, sizes: dict[str, tuple[int, int]], path: Path, numbered: bool = False):
     """Marks drawn in a window, starting from those in the file `path` if it exists, and saved there.
 
+    numbered  whether points of the place are marked, too
     Raises BadInput without a display, Cancelled if the user leaves without saving.
     """
     from commands.marking import PhotographSubject, check_window, edit_of, marks_of_state
@@ -140,7 +141,7 @@ def marked_photographs(capture, sizes: dict[str, tuple[int, int]], path: Path):
     check_window()
     check_writable(path)
     before = read_marks(path, sizes) if path.is_file() else Marks()
-    subject, edit = PhotographSubject(capture.views), edit_of(before, {})
+    subject, edit = PhotographSubject(capture.views, numbered), edit_of(before, {})
     marks = marks_of_state(marked_in_window(subject, edit, f"Mark {capture.folder.name}", WINDOW_SIZE))
     write_marks(path, marks)
     print(f"{path}: marks saved", file=sys.stderr)

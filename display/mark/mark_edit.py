@@ -25,11 +25,20 @@ class Mark:
 
 @dataclass(frozen=True)
 class MarkState:
-    """All marks: names of the objects, marks, and by how many rings an object is grown."""
+    """All marks: names of the objects, marks, and by how many rings an object is grown.
+
+    points  numbered points (x, y) on a view, by its name, in pixels of the picture; None: not there
+    """
 
     objects: tuple[str, ...] = ("object_1",)
     marks: tuple[Mark, ...] = ()
     grow: dict[str, int] = field(default_factory=dict)
+    points: dict[str, tuple[tuple[float, float] | None, ...]] = field(default_factory=dict)
+
+    @property
+    def views(self) -> list[str]:
+        """Names of the views with marks, sorted."""
+        return sorted({m.view for m in self.marks} | {view for view, row in self.points.items() if any(row)})
 
 
 def free_name(kind: str, taken: Collection[str]) -> str:
@@ -65,12 +74,25 @@ class MarkEdit:
         mark = Mark(self.name, view, kind, tuple((float(x), float(y)) for x, y in points))
         self._do(replace(self.state, marks=(*self.state.marks, mark)))
 
+    def put_point(self, view: str, number: int, at: tuple[float, float]) -> None:
+        """Put the point of a number, from 0 on, at a place of a view."""
+        row = [*self.state.points.get(view, ())]
+        row += [None] * (number + 1 - len(row))
+        row[number] = (float(at[0]), float(at[1]))
+        self._do(replace(self.state, points=self.state.points | {view: tuple(row)}))
+
+    def missing_point(self, view: str) -> int:
+        """The lowest number whose point is not yet on a view."""
+        row = (*self.state.points.get(view, ()), None)
+        return row.index(None)
+
     def delete(self) -> None:
         """Delete the current object with its marks; the only one keeps its name."""
         name = self.name
         left = tuple(m for m in self.state.marks if m.object != name)
         objects = tuple(n for n in self.state.objects if n != name) or self.state.objects
-        self._do(MarkState(objects, left, {n: r for n, r in self.state.grow.items() if n != name}))
+        grow = {n: r for n, r in self.state.grow.items() if n != name}
+        self._do(replace(self.state, objects=objects, marks=left, grow=grow))
         self.current = min(self.current, len(objects) - 1)
 
     def grow(self, rings: int) -> None:
@@ -90,7 +112,8 @@ class MarkEdit:
             return False
         objects = tuple(name if n == old else n for n in self.state.objects)
         marks = tuple(replace(m, object=name) if m.object == old else m for m in self.state.marks)
-        self._do(MarkState(objects, marks, {name if n == old else n: r for n, r in self.state.grow.items()}))
+        grow = {name if n == old else n: r for n, r in self.state.grow.items()}
+        self._do(replace(self.state, objects=objects, marks=marks, grow=grow))
         return True
 
     def choose(self, index: int) -> None:

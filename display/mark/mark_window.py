@@ -28,7 +28,8 @@ OUTSIDE_COLOUR = (0.05, 0.05, 0.05)
 ZOOM_STEP, ZOOM_MAX = 1.25, 16.0  # of a notch of the wheel; of the whole picture's size
 WIDTH = 248.0  # in screen coordinates at a display scale of 1
 LIST_ROWS = 6  # of objects, or of views, that are seen at once
-TOOLS = {"inside": "Inside", "outside": "Outside", "boxes": "Box"}
+TOOLS = {"inside": "Inside", "outside": "Outside", "boxes": "Box", "points": "Points"}
+POINT_COLOUR = (1.0, 0.85, 0.1)
 HINTS = (
     "Left: inside; right, Shift: outside\n"
     "B: box   N: new   1-9: choose object\n"
@@ -39,6 +40,7 @@ PHOTOGRAPH_HINTS = (
     "Tab, Shift+Tab: next, previous\nWheel: nearer; middle: move; Home: all\n"
     "Colours are a first idea, of this photograph alone"
 )
+POINT_HINTS = "\nP: points of the place, numbered alike in the clip\nand in photographs; 1-9, N: choose, next number"
 ORBIT_HINTS = "Space or middle drag: turn\nWheel: nearer   W A S D Q E: move\n+ -: grow, shrink   Tab: next view"
 
 
@@ -47,6 +49,7 @@ class Subject(Protocol):
 
     views       names of the pictures that have been marked or can be
     free        the free camera on a splat, None for photographs
+    numbered    whether numbered points are marked, too
     size        (width, height) [px] of the shown view, in which marks are counted
     version     changes when a picture has become another one by itself
     picture     (H, W, 3) uint8 of the shown view with what is selected in colours, perhaps of another size
@@ -58,6 +61,7 @@ class Subject(Protocol):
 
     views: list[str]
     free: FreeView | None
+    numbered: bool
     size: tuple[int, int]
     version: int
 
@@ -75,6 +79,7 @@ class MarkWindow:
         self.subject, self.edit = subject, edit
         self._undo, self._redo = partial(self._step, edit.undo), partial(self._step, edit.redo)
         self.tool, self.line = "inside", ""  # what the left button draws; what is said at the panel's foot
+        self.number = 0  # of the point that is put next
         self._surface = GLWindow(title, *size)
         apply_theme(self._surface.scale)
         self._texture, self._placed = PictureTexture(self._surface.gl), PlacedPicture()
@@ -149,6 +154,14 @@ class MarkWindow:
             for thickness, paint in ((6.0, edge), (4.0, colour)):
                 for a, b in itertools.pairwise(at):
                     draw.add_line(a, b, paint, thickness * scale)
+        dark, bright = (imgui.get_color_u32((*c, 1.0)) for c in (OUTSIDE_COLOUR, POINT_COLOUR))
+        for number, point in enumerate(self.edit.state.points.get(shown, ()), 1):
+            if point is not None:
+                x, y = self._placed.to_window(point)
+                for radius, paint in ((5.5, dark), (4.0, bright), (1.5, dark)):
+                    draw.add_circle_filled((x, y), radius * scale, paint)
+                for off, paint in ((1.0, dark), (0.0, bright)):
+                    draw.add_text((x + 7 * scale + off, y - 16 * scale + off), paint, str(number))
 
     def _handle(self, kind: str, *what) -> None:
         io = imgui.get_io()
@@ -177,6 +190,10 @@ class MarkWindow:
         self._cursor, self._leaving = (x, y), False
         if button == "middle" or "space" in self._held:
             self._drag = "turn"
+            return
+        if self.tool == "points":
+            self.edit.put_point(self.subject.view_shown(), self.number, self._placed.to_picture(x, y))
+            self.number += 1
             return
         self._drag = "outside" if button == "right" or "shift" in self._held else self.tool
         self._points = [self._placed.to_picture(x, y)]
@@ -218,7 +235,7 @@ class MarkWindow:
         actions = {
             "ctrl+z": self._undo,
             "ctrl+y": self._redo,
-            "n": self.edit.new_object,
+            "n": self._next,
             "delete": self.edit.delete,
             "tab": lambda: self.turn_page(-1 if "shift" in self._held else 1),
             "home": self._placed.whole,
@@ -229,6 +246,10 @@ class MarkWindow:
             actions[name]()
         elif name == "b":
             self.tool = "inside" if self.tool == "boxes" else "boxes"
+        elif name == "p" and self.subject.numbered:
+            self.use("inside" if self.tool == "points" else "points")
+        elif name.isdigit() and self.tool == "points":
+            self.number = max(int(name) - 1, 0)
         elif name.isdigit():
             self.edit.choose(int(name) - 1)
         elif self.subject.free is not None and name in WALK_KEYS:
@@ -236,6 +257,17 @@ class MarkWindow:
             orbit.move(*(STEP * orbit.distance * np.array(WALK_KEYS[name])))
         elif self.subject.free is not None and name in ("plus", "minus"):
             self.edit.grow(1 if name == "plus" else -1)
+
+    def use(self, tool: str) -> None:
+        """Draw with one of TOOLS from now on."""
+        self.tool, self.number = tool, self.edit.missing_point(self.subject.view_shown() or "")
+
+    def _next(self) -> None:
+        """Go on to the next number of a point, or to a new object."""
+        if self.tool == "points":
+            self.number += 1
+        else:
+            self.edit.new_object()
 
     def turn_page(self, step: int) -> None:
         """Show the next view, or the previous one for -1."""
@@ -249,12 +281,14 @@ class MarkWindow:
         """Show a view as a whole."""
         self._placed.whole()
         self.subject.go_to(view)
+        self.use(self.tool)
 
     def _step(self, act: Callable[[], None]) -> None:
         """Undo or redo, and show the photograph that this changed."""
-        before = set(self.edit.state.marks)
+        before, rows = set(self.edit.state.marks), set(self.edit.state.points.items())
         act()
         changed = {m.view for m in before ^ set(self.edit.state.marks)}
+        changed |= {view for view, _ in rows ^ set(self.edit.state.points.items())}
         if self.subject.free is None and changed and self.subject.view_shown() not in changed:
             self.go_to(min(changed))
 
@@ -301,6 +335,7 @@ class MarkWindow:
         imgui.text_wrapped(self.line or "Draw a stroke inside of what shall be an object.")
         done = imgui.get_frame_height_with_spacing()
         hints = HINTS + (PHOTOGRAPH_HINTS if self.subject.free is None else ORBIT_HINTS)
+        hints += POINT_HINTS if self.subject.numbered else ""
         wide = imgui.get_content_region_avail().x
         high = imgui.calc_text_size(hints, False, wide).y
         imgui.set_cursor_pos_y(
@@ -345,11 +380,15 @@ class MarkWindow:
                 self.line = f"{text!r} cannot be its name"
 
     def _draw_tools(self) -> None:
-        for kind, text in TOOLS.items():
-            if imgui.radio_button(text, self.tool == kind):
-                self.tool = kind
-            if kind != "boxes":
+        tools = list(TOOLS)[: None if self.subject.numbered else -1]
+        for kind in tools:
+            if imgui.radio_button(TOOLS[kind], self.tool == kind):
+                self.use(kind)
+            if kind not in ("boxes", tools[-1]):
                 imgui.same_line()
+        if self.tool == "points":
+            imgui.same_line()
+            imgui.text(f"next: {self.number + 1}")
         if self.subject.free is not None:
             draw_buttons({"Grow": lambda: self.edit.grow(1), "Shrink": lambda: self.edit.grow(-1)})
 
@@ -365,7 +404,7 @@ class MarkWindow:
                 moved, chosen = imgui.slider_int("##photograph", at + 1, 1, len(views), shown.replace("%", "%%"))
                 if moved:
                     self.go_to(views[min(max(chosen, 1), len(views)) - 1])
-        marked = sorted({m.view for m in self.edit.state.marks})
+        marked = self.edit.state.views
         imgui.text("With marks:" if marked else "None has marks yet")
         imgui.begin_child("views", (0.0, min(len(marked), LIST_ROWS) * imgui.get_text_line_height_with_spacing() + 1))
         for name in marked:

@@ -20,8 +20,9 @@ from scipy.spatial.transform import Rotation
 from assets.room_folder import RoomManifest, is_room_folder, read_room
 from core.camera import Camera
 from core.errors import BadInput
-from prepare.fit.clip_masks import LONGEST_SIDE
+from prepare.fit.clip_masks import LONGEST_SIDE, Clip
 from prepare.room_capture.stages import file_key
+from prepare.segment.marks import Clicks
 from prepare.train.capture import Capture
 from prepare.train.capture_files import checked, read_capture, read_colmap, reader_of
 from prepare.train.photographs import image_size, load_photograph
@@ -32,8 +33,10 @@ VIEWS = 12  # photographs that share most features with the picture; each pair o
 APART = np.cos(np.radians(2.0))  # of rays that cross: half a pixel moves the crossing by 2% of its distance then
 OFF = 3.0  # [px] from where a point is seen: several times the deviation of those that agree
 FEWEST = 16  # points that agree: four always do; with photographs of other places there were at most twelve points
+CLICKED, CLICKED_FOV = 6, 4  # points that a user has marked, without and with a given field of view
+CLICKED_OFF = 8.0  # [px] for OFF of points that a user has marked: a pixel in a small photograph is several in the clip
 SURE = 0.03  # most standard error of a field of view, relative to it: by the points alone, the truth is farther off
-FOCALS = np.geomspace(0.4, 4.0, 8)  # longest sides of the picture (103 to 14 degrees); least squares go on from there
+FOCALS = np.geomspace(0.4, 4.0, 22)  # longest sides of the picture (103 to 14 degrees); of many points, each third
 UNSURE = 3.0  # standard errors of k1: a lens that may move no corner of the picture by OFF is taken for straight
 ROUNDS = 5  # of least squares over the points that agree, which then are others
 
@@ -120,12 +123,47 @@ class CapturedPlace:
         if found is None:
             raise BadInput(
                 f"{where}: the clip shows too little of what {self.capture.folder} shows: {count} of {len(places)}"
-                f" features are found there, and fewer than {FEWEST} agree on a camera; film more of the place, or give"
-                " --camera"
+                f" features are found there, and fewer than {FEWEST} agree on a camera; film more of the place, mark"
+                " points of it (docs/your_own.md), or give --camera"
             )
+        return self.sure(found, where)
+
+    def clicked_camera(self, points: dict[str, Clicks], clip: Clip, full: tuple[int, int], fov: float | None = None):
+        """The FoundCamera of a clip by numbered points in its first picture and in photographs, as `found_camera`.
+
+        full  (width, height) [px] that the points in the clip's picture are in. Raises BadInput.
+        """
+        first, views = f"frame_{clip.first:04d}", {view.name: view for view in self.capture.views}
+        if strange := set(points) - {first, *views}:
+            raise BadInput(f"{clip.where}: points in {min(strange)}: they belong in {first} and in photographs")
+        count, seen, cameras = max(map(len, points.values())), [], []
+        ours = clip.size[0] / full[0] * numbered(points.get(first, []), count)
+        for name in sorted(set(points) - {first}):
+            width, height = image_size(views[name].image)
+            scale = min(1.0, LONGEST_SIDE / max(width, height))
+            lens = views[name].lens.resized(round(scale * width), round(scale * height), name)
+            seen.append(lens.undistort_points(lens.width / width * numbered(points[name], count)))
+            cameras.append(replace(views[name], lens=lens).camera())
+        there = triangulated(np.array(seen), cameras, CLICKED_OFF) if len(seen) > 1 else np.full((count, 3), np.nan)
+        known, fewest = np.isfinite(there).all(1) & np.isfinite(ours).all(1), CLICKED if fov is None else CLICKED_FOV
+        found = camera_by(there[known], ours[known], clip.size, fov, fewest, CLICKED_OFF)
+        if found is None:
+            raise BadInput(
+                f"{clip.where}: {known.sum()} points are marked in {first} and in two photographs from apart, and fewer"
+                f" than {fewest} agree on a camera: mark more, all over the picture and near and far"
+            )
+        return self.sure(found, clip.where)
+
+    def sure(self, found: FoundCamera, where: str) -> FoundCamera:
+        """The camera in the room. Raises BadInput where its field of view is not sure."""
         if found.error > SURE * found.fov:
             raise BadInput(f"{where}: its field of view is not sure ({found.described()}): give --fov")
         return replace(found, camera=self.placed(found.camera))
+
+
+def numbered(clicks: Clicks, count: int) -> np.ndarray:
+    """Places (count, 2) of numbered points, NaN for what is not seen."""
+    return np.array([p or (np.nan, np.nan) for p in [*clicks, *[None] * (count - len(clicks))]]).reshape(-1, 2)
 
 
 def features(pixels: np.ndarray, mask: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +197,7 @@ def sightings(picture: np.ndarray, capture: Capture, progress) -> tuple[np.ndarr
     return places, np.array([at for at, _ in shown]), [camera for _, camera in shown]
 
 
-def triangulated(seen: np.ndarray, cameras: list[Camera]) -> np.ndarray:
+def triangulated(seen: np.ndarray, cameras: list[Camera], off: float = OFF) -> np.ndarray:
     """Points (N, 3) that cameras see at `seen` (K, N, 2) [px], NaN where no two rays that are apart cross.
 
     Two rays give a point, and all that pass it as the most of them do give the point that is nearest to these.
@@ -174,7 +212,7 @@ def triangulated(seen: np.ndarray, cameras: list[Camera]) -> np.ndarray:
     for a, b in combinations(range(len(cameras)), 2):
         rows = np.flatnonzero((rays[a] * rays[b]).sum(1) < APART)  # NaN compares false
         x = np.linalg.solve(across[a, rows] + across[b, rows], (aim[a, rows] + aim[b, rows])[..., None])[..., 0]
-        near = np.array([offsets(c, x, s[rows]) < OFF for c, s in zip(cameras, seen, strict=True)])
+        near = np.array([offsets(c, x, s[rows]) < off for c, s in zip(cameras, seen, strict=True)])
         better = near[a] & near[b] & (near.sum(0) > most[rows])
         most[rows[better]], chosen[:, rows[better]] = near.sum(0)[better], near[:, better]
     rows = np.flatnonzero(most)
@@ -197,21 +235,30 @@ def offsets(camera: Camera, points: np.ndarray, places: np.ndarray, k1: float = 
     return np.where(depth > 0, np.hypot(x - places[:, 0], y - places[:, 1]), np.inf)
 
 
-def camera_by(points: np.ndarray, places: np.ndarray, size: tuple[int, int], fov: float | None) -> FoundCamera | None:
-    """The camera by which most points (N, 3) are at their places (N, 2) [px] in a picture of a size; None: too few."""
+def camera_by(
+    points: np.ndarray, places: np.ndarray, size: tuple[int, int], fov: float | None, fewest=FEWEST, off=OFF
+) -> FoundCamera | None:
+    """The camera by which most points (N, 3) are at their places (N, 2) [px] in a picture of a size.
+
+    fewest, off  points that agree, else None, and how far they are from their places then [px]. Where there are few,
+    nearly all must agree at the first focal length, so more of these are tried.
+    """
     (width, height), found = size, []
-    focals = FOCALS * max(size) if fov is None else [0.5 * height / np.tan(0.5 * np.radians(fov))]
-    for focal in focals if len(points) >= FEWEST else ():
+    tried = FOCALS[:: 3 if fewest == FEWEST else 1] * max(size)
+    focals = tried if fov is None else [0.5 * height / np.tan(0.5 * np.radians(fov))]
+    for focal in focals if len(points) >= fewest else ():
         lens = np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
-        how = {"iterationsCount": 1000, "reprojectionError": OFF, "flags": cv2.SOLVEPNP_AP3P}
+        how = {"iterationsCount": 1000, "reprojectionError": off, "flags": cv2.SOLVEPNP_AP3P}
         good, turn, shift, _ = cv2.solvePnPRansac(points, places, lens, None, **how)
         if good:
             start = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, np.eye(4))
             start = moved(start, np.r_[turn.ravel(), shift.ravel(), 0.0])
-            found.append(refined(start, points, places, fov is None))
+            found.append(refined(start, points, places, fov is None, fewest, off))
     best = max(filter(None, found), key=FoundCamera.rank, default=None)
-    bends = best and refined(best.camera, points, places, fov is None, bends=True)
-    return max(filter(None, (best, bends)), key=FoundCamera.rank, default=None)
+    if best is None or best.agree < FEWEST:
+        return best
+    bends = refined(best.camera, points, places, fov is None, fewest, off, bends=True)
+    return max(filter(None, (best, bends)), key=FoundCamera.rank)
 
 
 def moved(camera: Camera, by: np.ndarray) -> Camera:
@@ -222,11 +269,11 @@ def moved(camera: Camera, by: np.ndarray) -> Camera:
 
 
 def refined(
-    camera: Camera, points: np.ndarray, places: np.ndarray, zooms: bool, bends: bool = False
+    camera: Camera, points: np.ndarray, places: np.ndarray, zooms: bool, fewest: int, off: float, bends: bool = False
 ) -> FoundCamera | None:
     """The camera nearby that fits all points that agree with it; None if these are too few, or k1 is not sure.
 
-    zooms, bends  whether the focal length, and k1 of the lens, are found
+    fewest, off  see `camera_by`;   zooms, bends  whether the focal length, and k1 of the lens, are found
     """
     free, k1 = np.r_[:6, [6] * zooms, [7] * bends].astype(int), 0.0
 
@@ -241,8 +288,8 @@ def refined(
         return np.r_[x - places[use, 0], y - places[use, 1]]
 
     for _ in range(ROUNDS):
-        use = offsets(camera, points, places, k1) < OFF
-        if use.sum() < FEWEST:
+        use = offsets(camera, points, places, k1) < off
+        if use.sum() < fewest:
             return None
         fit = least_squares(residuals, np.zeros(len(free)), method="lm", x_scale="jac", args=(camera, k1, use))
         by = step(fit.x)

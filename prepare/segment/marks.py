@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -23,6 +23,7 @@ from prepare.segment.mask_files import JSON_MAX, OBJECTS_MAX, check_name
 
 FORM = '{"objects": {"NAME": {"PHOTOGRAPH.jpg": {"inside": [[[x, y], ...], ...], "outside": [...], "boxes": [...]}}}}'
 POINTS_MAX = 100_000  # in all strokes on an object in a view
+Clicks = list[tuple[float, float] | None]  # (x, y) [px] of numbered points in a photograph, None: not seen there
 Stroke, Box = Annotated[np.ndarray, Shape(None, 2)], Annotated[np.ndarray, Shape(4)]
 VIEWS_MAX = 1000
 Rings = dict[str, Annotated[int, Range(-50, 50)]]  # of neighbours, by the object's name
@@ -50,9 +51,13 @@ class ViewMarks:
 
 @dataclass
 class Marks:
-    """Marks by the object's name, then by the photograph's file name."""
+    """Marks by the object's name, then by the photograph's file name.
+
+    points  by the photograph's file name: the nth of each is the same point of the place
+    """
 
     objects: dict[str, dict[str, ViewMarks]] = field(default_factory=dict)
+    points: dict[str, Clicks] = field(default_factory=dict)
 
     @property
     def views(self) -> list[str]:
@@ -73,6 +78,13 @@ def read_marks(path: str | Path, sizes: Mapping[str, tuple[int, int]]) -> Marks:
     return marks_of(read_json(path, FILE_MAX), sizes, str(path))
 
 
+def read_points(path: str | Path) -> dict[str, Clicks]:
+    """The numbered points in a file of marks, of the photographs that have some. Raises BadInput."""
+    data = from_plain(dict[str, Any], read_json(path, FILE_MAX), str(path))
+    points = from_plain(dict[str, Clicks], data.get("points", {}), f"{path}: points")
+    return {view: row for view, row in points.items() if any(row)}
+
+
 def marks_of(data, sizes: Mapping[str, tuple[int, int]], where: str) -> Marks:
     """The marks of parsed JSON, as `read_marks`; `where` is named in errors."""
     objects = data.get("objects") if isinstance(data, dict) else None
@@ -80,7 +92,7 @@ def marks_of(data, sizes: Mapping[str, tuple[int, int]], where: str) -> Marks:
         raise BadInput(f"{where}: no marks; the form is {FORM}")
     if not 0 < len(objects) <= OBJECTS_MAX:
         raise BadInput(f"{where}: {len(objects)} objects are marked, not 1 to {OBJECTS_MAX}")
-    marks = from_plain(Marks, {"objects": objects}, where)
+    marks = from_plain(Marks, {"objects": objects, "points": data.get("points", {})}, where)
     for name, views in marks.objects.items():
         check_name(name, where)
         for view, entry in views.items():
@@ -110,7 +122,8 @@ def check_view(marks: ViewMarks, size: tuple[int, int], where: str) -> None:
 
 def write_marks(path: str | Path, marks: Marks) -> None:
     """Write marks as JSON. Raises BadInput."""
-    write_json(path, {"objects": marks_json(marks)})
+    points = {view: [p and [round(x, 1) for x in p] for p in row] for view, row in marks.points.items()}
+    write_json(path, {"objects": marks_json(marks)} | ({"points": points} if points else {}))
 
 
 def marks_json(marks: Marks) -> dict:

@@ -1,6 +1,7 @@
 """`vrgs.py fit`: a beam's material from its motion by theory, the report, and what is refused."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from core.tetmesh import boundary_surface
 from core.typed import to_plain
 from prepare.fit.clip_masks import straightened
 from prepare.fit.register import FoundCamera
+from prepare.segment.marks import read_points
 from prepare.train.capture_files import read_camera_views
 from tests.support.filmed_block import (
     FPS,
@@ -152,6 +154,35 @@ def test_a_camera_that_is_found_is_written_to_be_given_again(filmed, tmp_path, c
     np.testing.assert_allclose(written.world_to_camera, camera_of().world_to_camera)
     assert (written.lens.width, written.lens.height, written.lens.fx) == (*PIXELS, camera_of().fx)
     assert [lens.distortion[0] for lens in (*lenses, written.lens)] == [-0.02] * 3
+
+
+def test_points_are_marked_where_the_clip_shows_too_little(filmed, tmp_path, monkeypatch):
+    """The window has the photographs, too, and its points give the camera; left without points, the error stands."""
+    write_capture(tmp_path / "c")
+    shutil.copy(filmed / "marks.json", tmp_path / "m.json")
+    shown, points = [], {"frame_0000": ((1.0, 2.0),), "00.png": (None, (3.0, 4.0))}
+
+    def marked(subject, edit, title, size):
+        shown.append((subject.views, subject.numbered))
+        return replace(edit.state, points=points if len(shown) > 1 else {})
+
+    def found(place, *what):
+        shown.append(what)
+        return FoundCamera(camera_of(), 7, 8, 0.5, 0.2)
+
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("display.window.gl_window.has_display", lambda: True)
+    monkeypatch.setattr("display.mark.mark_window.marked_in_window", marked)
+    monkeypatch.setattr("prepare.fit.register.CapturedPlace.clicked_camera", found)
+    words = f"fit {filmed}/block.h5 {filmed}/clip.mp4 --capture {tmp_path}/c --marks {tmp_path}/m.json --preview"
+    words += f" --report {tmp_path}/r.html --out {tmp_path}/o.h5"
+    with pytest.raises(BadInput, match="the clip shows too little of what"):
+        run(words)
+    run(words)
+    frames = ["frame_0000", "frame_0014", "frame_0021", "frame_0027", "frame_0041"]
+    assert shown[0] == shown[1] and shown[0][0][:6] == [*frames, "00.png"] and shown[0][1]
+    assert shown[2][0] == {"frame_0000": [(1.0, 2.0)], "00.png": [None, (3.0, 4.0)]} and shown[2][2] == PIXELS
+    assert read_points(tmp_path / "m.json") == shown[2][0] and len(shown) == 3
 
 
 def test_without_marks_pictures_are_shown_to_be_marked(filmed, tmp_path, monkeypatch):

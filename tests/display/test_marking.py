@@ -47,6 +47,21 @@ def test_a_name_is_given_to_one_object_alone():
     assert not edit.rename("bear") and not edit.rename("")
 
 
+def test_numbered_points_are_put_replaced_and_undone():
+    edit = MarkEdit()
+    edit.put_point("a.png", 0, (1, 2))
+    edit.put_point("a.png", 2, (5, 6))
+    assert edit.missing_point("a.png") == 1 and edit.missing_point("b.png") == 0 and edit.state.views == ["a.png"]
+    edit.put_point("a.png", 2, (7, 8))
+    edit.new_object()
+    edit.delete()
+    marks = marks_of_state(edit.state)
+    assert marks.points == {"a.png": [(1.0, 2.0), None, (7.0, 8.0)]} and state_of(marks, {}).points == edit.state.points
+    for _ in range(3):
+        edit.undo()
+    assert edit.state.points["a.png"][2] == (5.0, 6.0)
+
+
 def test_a_deleted_object_comes_back_with_its_marks():
     edit = MarkEdit()
     edit.add("view_1", "inside", [(1, 2)])
@@ -128,11 +143,12 @@ def test_a_window_that_is_left_leaves_no_folder(tmp_path, monkeypatch):
 
 
 @contextmanager
-def opened(path: Path, out: Path):
-    """The window on a capture or splat: (screen, its id, process)."""
+def opened(path: Path, out: Path, words=None):
+    """The window on a capture or splat, of `segment` or other words: (screen, its id, process)."""
     with XServer(1210, 690) as screen:
-        words = [sys.executable, PROGRAM, "segment", path, "--out", out]
-        process = subprocess.Popen(words, env=screen.env, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        words = [sys.executable, *(words or [PROGRAM, "segment", path, "--out", out])]
+        how = {"env": screen.env, "cwd": PROGRAM.parent, "text": True}
+        process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, **how)
         try:
             window = screen.wait_for_window(f"Mark {path.name}", seconds=120)
             until(lambda: (screen.pixels()[100:, 400:] > 60).mean() > 0.02)  # the picture is there, not only a pointer
@@ -199,3 +215,30 @@ def test_two_objects_are_marked_on_photographs(tmp_path):
     x, y = np.array(objects["clump"]["00.png"]["inside"][0]).T
     assert 25 < x.min() < x.max() < 40 and 28 < y.min() < y.max() < 36
     assert len(objects["object_2"]["01.png"]["boxes"]) == 1
+
+
+@pytest.mark.long
+@pytest.mark.window
+@NEEDS_XVFB[1]
+def test_numbered_points_are_marked_in_a_clip_and_in_photographs(tmp_path):
+    """A stroke, two points, the second again by its digit; in the next picture the second alone, after N."""
+    path, file = tmp_path / "painted", tmp_path / "marks.json"
+    write_capture(path)
+    code = (
+        "import sys; from pathlib import Path; from commands.segment import marked_photographs\n"
+        "from prepare.train.capture_files import read_capture\n"
+        "c = read_capture(sys.argv[1]); marked_photographs(c, {}, Path(sys.argv[2]), numbered=True)"
+    )
+    with opened(path, tmp_path, ["-c", code, path, file]) as (screen, _, process):
+        screen.drag((680, 320), (740, 340), seconds=0.2)
+        screen.do("key", "p", "sleep", "0.2")
+        for x, y in ((600, 200), (800, 200), (800, 300)):
+            screen.click(x, y)
+            screen.do("sleep", "0.2", "key", "2", "sleep", "0.2")
+        screen.do("key", "Tab", "sleep", "0.2", "key", "n", "sleep", "0.2")
+        screen.click(700, 400)
+        screen.do("sleep", "0.2", "key", "Return")
+        process.communicate(timeout=60)
+    points = json.loads(file.read_text())["points"]
+    (first, second), (none, other) = points["00.png"], points["01.png"]
+    assert none is None and first[0] < other[0] < second[0] and first[1] < second[1] < other[1]

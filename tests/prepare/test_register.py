@@ -11,6 +11,7 @@ from assets.room_folder import RoomManifest, RoomObject, write_room
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.rotation import quaternions_from_matrices
+from prepare.fit.clip_masks import Clip
 from prepare.fit.register import CapturedPlace, camera_by, matched
 from tests.support import patterned_room as made
 
@@ -70,6 +71,39 @@ def test_a_bend_that_few_points_do_not_show_is_not_taken():
     points = MIDDLE + 0.25 * rng.uniform(-1, 1, (16, 3))
     places = np.stack(true.projected(points)[:2], 1) + 0.5 * rng.normal(size=(16, 2))
     assert camera_by(points, places, (480, 360), 41.0).k1 == 0
+
+
+SPOTS = np.array(
+    [[x, y, z] for x in (-0.6, 0.5) for y in (0, 0.7) for z in (-1.2, -0.6)] + [[0.3, 1.3, -2], [-2, 1, -1]]
+)
+
+
+def clicks(camera, rng, some=slice(None)):
+    """Where a user clicks SPOTS, about a pixel off; None for what is outside of the picture."""
+    x, y, _ = camera.projected(SPOTS[some])
+    places = np.stack([x, y], 1) + rng.normal(size=(len(x), 2))
+    return [(u, v) if 0 < u < camera.width and 0 < v < camera.height else None for u, v in places.tolist()]
+
+
+@pytest.mark.parametrize(("given", "some"), [(None, slice(None)), (60.0, slice(3, 8))])
+def test_a_few_marked_points_give_the_camera(place, given, some):
+    """Pictures of the clip are twice as large as they are read; a photograph without the last points has fewer."""
+    rng, true = np.random.default_rng(0), true_camera(60.0)
+    points = {"frame_0007": clicks(true.resized(960, 720), rng, some)}
+    points |= {f"{k:02}.png": clicks(made.cameras()[k], rng, some) for k in (1, 4, 7)} | {"03.png": [None]}
+    clip = Clip(np.zeros((1, 360, 480, 3), np.uint8), np.zeros(1), 7, "clip", (960, 720))
+    found = place.clicked_camera(points, clip, clip.filmed, given)
+    between = found.camera.world_to_camera @ np.linalg.inv(place.capture.cameras()[0].world_to_camera)
+    off = between @ np.linalg.inv(true.world_to_camera @ np.linalg.inv(made.cameras()[0].world_to_camera))
+    assert np.degrees(Rotation.from_matrix(off[:3, :3]).magnitude()) < 1.5 and np.linalg.norm(off[:3, 3]) < 0.08
+    assert abs(found.fov - 60) < 3 * found.error + 1e-9 and found.agree >= (6 if given is None else 4)
+    few = {view: row[:3] for view, row in points.items()}
+    with pytest.raises(BadInput, match=r"clip: [0-3] points are marked in frame_0007 and .* fewer than [46] agree"):
+        place.clicked_camera(few, clip, clip.filmed, given)
+    with pytest.raises(BadInput, match=r"clip: points in frame_0009: they belong in frame_0007 and in photographs"):
+        place.clicked_camera(points | {"frame_0009": [(1.0, 2.0)]}, clip, clip.filmed, given)
+    with pytest.raises(BadInput, match="clip: 0 points are marked"):
+        place.clicked_camera({"04.png": points["04.png"]}, clip, clip.filmed, given)
 
 
 @pytest.mark.parametrize("shown", [made.corner_of_a_room(2), []], ids=["another room", "nothing"])

@@ -19,7 +19,6 @@ from assets.file_access import atomic_write, check_writable, write_json
 from assets.library import default_material, find_asset
 from commands import options as cli
 from commands.segment import marked_photographs
-from core.camera import Camera
 from core.errors import BadInput
 from core.report import Section
 from core.runtime import start_taichi
@@ -31,6 +30,7 @@ from prepare.train.photographs import image_size
 if TYPE_CHECKING:
     from display.drawn_body import DrawnBody
     from prepare.fit.clip_masks import Clip
+    from prepare.fit.clip_tracks import Shot
     from prepare.fit.marker_tracks import MarkerTracks
     from prepare.fit.register import CapturedPlace, FoundCamera
     from prepare.train.capture import View
@@ -49,6 +49,7 @@ class FitOptions(cli.Options):
         "fit bear.h5 clip.mp4 --camera cam.json --marks marks.json --out fitted.h5 --report fit.html",
         "fit ROOM/objects/bear.h5 clip.mp4 --capture PHOTOGRAPHS --out fitted.h5    the camera is found",
         "fit box.h5 clip.mp4 --camera c.json --marks m.json --plane 0.42 0.91 0 0 --out fitted.h5    down a board",
+        "fit bear.h5 left.mp4 right.mp4 --camera both.json --out fitted.h5    two cameras, the same motion",
         "fit bear.h5 --from-trajectory points.npz --out fitted.h5 --report fit.html",
         "fit bear.h5 --from-trajectory points.npz --out fitted.h5 --density 85",
     )
@@ -59,12 +60,15 @@ class FitOptions(cli.Options):
     )
 
     asset: str = cli.argument("ASSET", "a prepared asset, or a shipped one by name")
-    video: Path | None = cli.argument(
-        "VIDEO", "one to four seconds of the thing, from a camera that stands still or is held in a hand", None
+    video: list[Path] = cli.argument(
+        "VIDEO",
+        "one to four seconds of the thing, from a camera that stands still or is held in a hand; several show the same "
+        "motion, from several cameras that begin at the same moment",
+        [],
     )
     from_trajectory: Path | None = cli.option("POINTS.npz", "in place of a video: tracked markers (docs/formats.md)")
     camera: Path | None = cli.option(
-        "CAM.json", "the video's camera in a world with +y up [m], as of `render`", one_of=CAMERA
+        "CAM.json", "the video's camera in a world with +y up [m], as of `render`; a list of several", one_of=CAMERA
     )
     capture: Path | None = cli.option(
         "CAPTURE",
@@ -73,13 +77,16 @@ class FitOptions(cli.Options):
         one_of=CAMERA,
     )
     fov: Angle | None = cli.option("DEG", "vertical field of view of the video, where it is known [degrees]")
-    marks: Path | None = cli.option(
+    marks: list[Path] = cli.option(
         "MARKS.json",
         'strokes and boxes on the thing in frame_0000 and others, boxes of "held" around what stands still, and points '
         "of the place for --capture (docs/formats.md); by default a window opens to draw them, and they are saved "
-        "beside the video",
+        "beside the video; one for each video",
+        [],
     )
-    part: tuple[float, float] | None = cli.option(("BEGIN", "END"), "the part of the video that counts [s]")
+    part: list[list[float]] = cli.option(
+        ("BEGIN", "END"), "the part of the video that counts [s]; once for all videos, or once each", [], repeat=True
+    )
     fps: cli.Amount | None = cli.option("N", "pictures taken in a second, where the file plays slower or faster")
     plane: list[list[float]] = cli.option(
         ("X", "Y", "Z", "D"),
@@ -115,7 +122,7 @@ def fit(options: FitOptions) -> None:
     if options.density:
         material = replace(material, density=options.density)
     how, filmed = {"asset": str(path), "material": repr(material)}, None
-    if options.video is None:
+    if not options.video:
         tracks, kept = read_tracks(options.from_trajectory), Checkpoints(source, how)
         start_taichi(options.arch)
         progress = StepProgress(STEPS)
@@ -145,12 +152,15 @@ def fit(options: FitOptions) -> None:
 
 def check_files(options: FitOptions) -> Path:
     """The file that is fitted, video or tracks. Raises BadInput for options that do not go together."""
-    if (options.video is None) == (options.from_trajectory is None):
+    videos = options.video
+    if bool(videos) == bool(options.from_trajectory):
         raise BadInput("give either a VIDEO or --from-trajectory POINTS.npz")
-    if options.video is not None and not (options.camera or options.capture):
-        raise BadInput(f"{options.video}: needs --camera CAM.json, or --capture CAPTURE to find it (docs/your_own.md)")
-    if options.part is not None and not 0 <= options.part[0] < options.part[1]:
+    if videos and not (options.camera or options.capture):
+        raise BadInput(f"{videos[0]}: needs --camera CAM.json, or --capture CAPTURE to find it (docs/your_own.md)")
+    if not all(0 <= begin < end for begin, end in options.part):
         raise BadInput("--part BEGIN END: BEGIN is 0 or more, and before END")
+    if len(options.part) not in (0, 1, len(videos)) or len(options.marks) not in (0, len(videos)):
+        raise BadInput(f"--part is given once or for each of {len(videos)} videos, and --marks names a file for each")
     if not options.release > 0:
         raise BadInput("--release S: is after the first picture")
     if options.out.suffix.lower() != ".h5":
@@ -159,10 +169,10 @@ def check_files(options: FitOptions) -> Path:
         raise BadInput(f"{options.report}: a report's name ends in .html")
     for file in filter(None, (options.out, options.report, options.capture and camera_file(options))):
         check_writable(file)
-    for file in filter(None, (options.video, options.camera, options.marks, options.from_trajectory)):
+    for file in filter(None, (*videos, options.camera, *options.marks, options.from_trajectory)):
         if not file.is_file():
             raise BadInput(f"{file}: no such file")
-    return options.video or options.from_trajectory
+    return videos[0] if videos else options.from_trajectory
 
 
 def camera_file(options: FitOptions) -> Path:
@@ -199,73 +209,95 @@ def mark_clip(clip: Clip, size: tuple[int, int], path: Path, place: CapturedPlac
         marked_photographs(subject, sizes, path, numbered=place is not None)
 
 
-def in_size(view: View, size: tuple[int, int]) -> View:
-    """The view in pictures of a size [px]. Raises BadInput if their shape is another one."""
-    return replace(view, lens=view.lens.resized(*size, str(view.image)))
-
-
 class FilmedThing:
-    """A clip of the asset: where it is in the pictures, and how they compare with what was fitted."""
+    """Clips of the asset: where it is in the pictures, and how those of the first compare with what was fitted."""
 
     def __init__(self, options: FitOptions, asset: Asset, progress, how: dict[str, str]):
         from display.drawn_body import DrawnBody
         from prepare.fit.clip_masks import clip_masks, read_clip, read_clip_marks, straightened
         from prepare.fit.clip_shake import steadied
-        from prepare.fit.clip_tracks import ALIGNED_SIDE, clip_tracks
-        from prepare.fit.marker_tracks import MarkerTracks
+        from prepare.fit.clip_tracks import ALIGNED_SIDE, Shot, clip_tracks
+        from prepare.fit.marker_tracks import MarkerTracks, Rig
         from prepare.fit.register import CapturedPlace
         from prepare.progress import Checkpoints
+        from prepare.room_capture.stages import file_key
         from prepare.train.capture_files import read_camera_views
 
         planes = np.array(options.plane, float).reshape(-1, 4)
         lengths = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
         if not (np.isfinite(planes).all() and (lengths > 1e-9).all()):
             raise BadInput("--plane: the normal of a plane is zero, or a number is not finite")
-        clip: Clip = read_clip(options.video, options.part, options.fps)
-        size = clip.size
+        videos, count = options.video, len(options.video)
+        parts = (options.part or [None]) * (count if len(options.part) < 2 else 1)
+        clips: list[Clip] = [read_clip(v, p, options.fps) for v, p in zip(videos, parts, strict=True)]
+        sizes, place, views = [c.filmed for c in clips], None, []
         if options.camera:
-            (view,) = read_camera_views(options.camera, [options.video])
-            view, shown = in_size(view, size), (view.lens.width, view.lens.height)
-            place = None
+            views = read_camera_views(options.camera, videos)
+            sizes = [(v.lens.width, v.lens.height) for v in views]
+            views = [replace(v, lens=v.lens.resized(*c.size, c.where)) for v, c in zip(views, clips, strict=True)]
         else:
-            view, shown, place = None, clip.filmed, CapturedPlace.of(options.capture, find_asset(options.asset))
+            place = CapturedPlace.of(options.capture, find_asset(options.asset))
             how["capture"] = place.key
-        strokes = options.marks or options.video.with_suffix(".marks.json")
-        if not strokes.is_file():
-            mark_clip(clip, shown, strokes, place)
-        marks, held = read_clip_marks(strokes, clip, shown)
+        strokes = options.marks or [video.with_suffix(".marks.json") for video in videos]
+        for clip, size, file in zip(clips, sizes, strokes, strict=True):
+            if not file.is_file():
+                mark_clip(clip, size, file, place)
+        marks = [read_clip_marks(f, c, size) for f, c, size in zip(strokes, clips, sizes, strict=True)]
         how |= {name: repr(getattr(options, name)) for name in ("part", "fps", "plane", "release", "fov")}
-        how |= {str(file): file.read_text(encoding="utf-8") for file in filter(None, (options.camera, strokes))}
-        self.kept = Checkpoints(options.video, how)
-        keep = self.kept.step
-        masks = keep("masks", lambda: {"m": clip_masks(clip, marks, lambda d: progress("masks", d))})["m"]
+        how |= {str(f): f.read_text(encoding="utf-8") for f in filter(None, (options.camera, *strokes))}
+        self.kept = Checkpoints(videos[0], how | {"others": repr([file_key(v) for v in videos[1:]])})
+        keep, masks = self.kept.step, []
+        for k, (clip, (strokes_of, _)) in enumerate(zip(clips, marks, strict=True)):
+
+            def cut(k=k, clip=clip, strokes_of=strokes_of) -> dict[str, np.ndarray]:
+                return {"m": clip_masks(clip, strokes_of, lambda d: progress("masks", (k + d) / count))}
+
+            masks.append(keep(f"masks_{k}", cut)["m"])
         progress("masks", 1.0)
-        if view is None:
-            view = self.found_view(options, place, *steadied(clip, masks)[:2], strokes, progress)
-        clip, masks = straightened(clip, masks, view.lens)
-        held = view.lens.undistort_points(held.reshape(-1, 2)).reshape(-1, 4)
-        self.clip, self.masks, self.shake = steadied(clip, masks, lambda d: progress("shake", d))
+        if place is not None:
+            found = [
+                self.found_view(options, place, k, *steadied(clips[k], masks[k])[:2], strokes[k], progress)
+                for k in range(count)
+            ]
+            write_json(camera_file(options), [v for _, v in found] if count > 1 else found[0][1])
+            print(f"wrote {camera_file(options)}")
+            views = [view for view, _ in found]
+        self.shots: list[Shot] = []
+        self.shakes: list[str] = []
+        for k, (view, (_, held)) in enumerate(zip(views, marks, strict=True)):
+            clip, cut_out = straightened(clips[k], masks[k], view.lens)
+            clip, cut_out, shake = steadied(clip, cut_out, lambda d, k=k: progress("shake", (k + d) / count))
+            held = view.lens.undistort_points(held.reshape(-1, 2)).reshape(-1, 4)
+            self.shots.append(Shot(clip, cut_out, view.camera(), held))
+            self.shakes.append(shake if count == 1 else f"{videos[k].name}: {shake}")
         progress("shake", 1.0)
         progress.close()
-        print(self.shake)
-        self.camera: Camera = view.camera()
+        print("\n".join(self.shakes))
         start_taichi(options.arch)
-        self.drawn: DrawnBody = DrawnBody(asset, *(max(n, ALIGNED_SIDE) for n in size))
-        blank = MarkerTracks(
-            self.clip.times, None, None, held if len(held) else None, options.release, None, planes / lengths, GRAVITY,
-            self.camera,
-        )  # fmt: skip
+        sides = [max(*side, ALIGNED_SIDE) for side in zip(*(s.clip.size for s in self.shots), strict=True)]
+        self.drawn: DrawnBody = DrawnBody(asset, *sides)
+        blank = MarkerTracks(None, None, None, None, options.release, None, planes / lengths, GRAVITY)
+        names = ("times", "points", "rest", "pose", "metres", "start", "of", "held")
 
         def make() -> dict[str, np.ndarray]:
-            found = clip_tracks(self.drawn.picture, asset, self.clip, self.masks, blank, progress)
-            return {name: np.asarray(getattr(found, name)) for name in ("points", "rest", "pose", "metres", "start")}
+            found = clip_tracks(self.drawn.picture, asset, self.shots, blank, progress)
+            held = np.zeros((0, 5)) if found.held is None else found.held
+            return {**{n: np.asarray(getattr(found, n)) for n in names[:6]}, "of": found.camera.of, "held": held}
 
-        arrays = keep("tracks", make)
+        a = keep("tracks", make)
         progress("tracks", 1.0)
-        self.tracks: MarkerTracks = replace(blank, **{**arrays, "metres": float(arrays["metres"])})
+        self.tracks: MarkerTracks = replace(
+            blank,
+            **{name: a[name] for name in ("times", "points", "rest", "pose", "start")},
+            metres=float(a["metres"]),
+            held=a["held"] if len(a["held"]) else None,
+            camera=Rig(tuple(s.camera for s in self.shots), a["of"]),
+        )
 
-    def found_view(self, options, place: CapturedPlace, clip: Clip, masks: np.ndarray, strokes: Path, progress) -> View:
-        """The clip's camera, found by what stands still in it or by marked points, printed and written.
+    def found_view(
+        self, options, place: CapturedPlace, number: int, clip: Clip, masks: np.ndarray, strokes: Path, progress
+    ) -> tuple[View, dict]:
+        """The camera of a clip, found by what stands still in it or by marked points, printed; and as it is written.
 
         Where neither shows it and there is a display, points can be marked. Raises BadInput.
         """
@@ -276,8 +308,10 @@ class FilmedThing:
             if points:
                 return place.clicked_camera(points, clip, clip.filmed, options.fov)
             step = -(-len(masks) // STILLS)
-            still = backdrop_of(clip.pictures[::step], masks[::step])
-            return place.found_camera(still, str(options.video), options.fov, lambda d: progress("camera", d))
+            still, count = backdrop_of(clip.pictures[::step], masks[::step]), len(options.video)
+            return place.found_camera(
+                still, clip.where, options.fov, lambda d: progress("camera", (number + d) / count)
+            )
 
         def make() -> dict[str, np.ndarray]:
             try:
@@ -296,39 +330,43 @@ class FilmedThing:
             lens, line = np.array([found.camera.fx, found.k1]), np.array(found.described())
             return {"pose": found.camera.world_to_camera, "lens": lens, "line": line}
 
-        kept, (width, height) = self.kept.step("camera", make), clip.size
+        kept, (width, height) = self.kept.step(f"camera_{number}", make), clip.size
         focal, k1 = kept["lens"].tolist()
         lens = Lens(width, height, focal, focal, 0.5 * width, 0.5 * height, (k1,))
-        view = View(options.video, lens, kept["pose"])
-        write_json(camera_file(options), to_plain(view.camera().resized(*clip.filmed)) | ({"k1": k1} if k1 else {}))
+        view = View(Path(clip.where), lens, kept["pose"])
         progress.close()
-        print(f"{kept['line']}; wrote {camera_file(options)}")
-        return view
+        print(str(kept["line"]))
+        return view, to_plain(view.camera().resized(*clip.filmed)) | ({"k1": k1} if k1 else {})
 
     def sections(self) -> list[Section]:
         """Masks and tracks in some pictures, and the body as it was found in the first, for the report."""
         from prepare.fit.fit_report import mask_pictures
 
         self.drawn.move(self.tracks.start)
-        found = self.drawn.over(self.clip.pictures[0] // 2, self.camera)
-        pictures = mask_pictures(self.clip, self.masks, self.tracks) | {"the asset as it was found at the start": found}
-        note = f"Outlined: the mask. Dots: points of the surface that are followed. {self.shake}."
+        pictures = {}
+        for k, shot in enumerate(self.shots):
+            pictures |= mask_pictures(shot, self.tracks, k)
+            found = self.drawn.over(shot.clip.pictures[0] // 2, shot.camera)
+            pictures |= {f"{Path(shot.clip.where).name}: the asset as it was found at the start": found}
+        note = f"Outlined: the mask. Dots: points of the surface that are followed. {'. '.join(self.shakes)}."
         return [Section("Where it is", pictures=pictures, note=note)]
 
     def films(self, motion: np.ndarray) -> Section:
-        """The clip beside what was fitted, and with E halved and doubled; motion (F, 3, V, 3) of these."""
+        """The first clip beside what was fitted, and with E halved and doubled; motion (F, 3, V, 3) of these."""
         from prepare.fit.clip_masks import backdrop_of
+        from prepare.fit.clip_tracks import moments
 
-        behind = backdrop_of(self.clip.pictures, self.masks)
-        made = np.zeros((3, *self.clip.pictures.shape), np.uint8)
-        for k in range(len(self.clip.pictures)):
+        shot = self.shots[0]
+        clip, behind = shot.clip, backdrop_of(shot.clip.pictures, shot.masks)
+        made = np.zeros((3, *clip.pictures.shape), np.uint8)
+        for k, row in enumerate(np.searchsorted(self.tracks.times, moments(clip))):
             for j in range(3):
-                self.drawn.move(motion[k, j])
-                made[j, k] = self.drawn.over(behind, self.camera)
-        off = np.abs(made[0].astype(np.int16) - self.clip.pictures).astype(np.uint8)
-        fps = (len(self.clip.times) - 1) / float(self.clip.times[-1])
+                self.drawn.move(motion[row, j])
+                made[j, k] = self.drawn.over(behind, shot.camera)
+        off = np.abs(made[0].astype(np.int16) - clip.pictures).astype(np.uint8)
+        fps = (len(clip.times) - 1) / float(clip.times[-1])
         films = {
-            "the clip, fitted, their difference": (self.clip.pictures, made[0], off),
+            "the clip, fitted, their difference": (clip.pictures, made[0], off),
             "with half of Young's modulus, as fitted, with twice of it": (made[1], made[0], made[2]),
         }
         return Section("Films", pictures={text: film_of(rows, fps) for text, rows in films.items()})

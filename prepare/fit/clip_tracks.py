@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from prepare.fit.clip_masks import Clip, flow_between
 from prepare.fit.marker_tracks import (
     OFF_THE_CAGE,
     MarkerTracks,
+    Rig,
     posed,
     rigid_pose_seen,
     surface_weights,
@@ -43,6 +44,17 @@ NEAREST = 7  # markers whose median motion is that of the surface there
 LONE = 3.0  # [px] beyond that: what is tracked there is not the surface
 FOLLOWED = 0.2  # least share of the markers, over all pictures, that is seen
 MISSED = 2  # pictures in which a marker may be missed, one after the other
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A clip with the thing's masks (F, H, W) in it, its camera, and boxes (B, 4) [px] around what stands still in the
+    first picture."""
+
+    clip: Clip
+    masks: np.ndarray
+    camera: Camera
+    held: np.ndarray
 
 
 def crop_of(camera: Camera, mask: np.ndarray, side: int) -> tuple[Camera, np.ndarray]:
@@ -218,17 +230,95 @@ def usual_motion(places: np.ndarray, moved: np.ndarray, good: np.ndarray) -> np.
     return np.median(moved[good][np.argsort(away, axis=1)[:, :NEAREST]], axis=1)
 
 
-def clip_tracks(draw: Draw, asset: Asset, clip: Clip, masks: np.ndarray, blank: MarkerTracks, progress) -> MarkerTracks:
-    """The tracks of a clip of the asset: `blank` with all that the pictures show.
+def common_pose(draw: Draw, x: np.ndarray, shots: Sequence[Shot], progress) -> np.ndarray:
+    """world_from_asset (4, 4) of the rigid body in the first pictures of all shots, which show one moment.
+
+    It is searched in each; that which looks most like all is refined by the points of all. Raises BadInput.
+    """
+    poses, lost = [], []
+    for k, s in enumerate(shots):
+        try:
+            one = found_pose(draw, x, s.camera, s.clip, s.masks[0], lambda done, k=k: progress((k + done) / len(shots)))
+            poses.append(one)
+        except BadInput as e:
+            lost.append(e)
+    if not poses:
+        raise lost[0]
+    if len(shots) == 1:
+        return poses[0]
+    near, pictures, masks = zip(*(crop(s.clip, s.masks[0], s.camera, ALIGNED_SIDE) for s in shots), strict=True)
+
+    def tried(pose: np.ndarray) -> tuple[float, list[tuple[float, float]], list[tuple]]:
+        made = [draw(from_body(camera, pose)) for camera in near]
+        like = [likeness(*m) for m in zip(made, pictures, masks, strict=True)]
+        return sum(score for score, _ in like), like, made
+
+    best = max(((*tried(pose), pose) for pose in poses), key=lambda b: b[0])
+    pose = best[3]
+    for _ in range(ROUNDS):
+        made = tried(pose)[2]
+        found = [followed(m, from_body(c, pose), *p) for m, c, *p in zip(made, near, pictures, masks, strict=True)]
+        of = np.repeat(np.arange(len(near)), [len(points) for points, _ in found])
+        if len(of) < FEWEST_POINTS:
+            break
+        points, seen = (np.concatenate(part) for part in zip(*found, strict=True))
+        pose = rigid_pose_seen(Rig(near, of), points, seen, pose)
+        best = max(best, (*tried(pose), pose), key=lambda b: b[0])
+    for s, (_, overlap) in zip(shots, best[1], strict=True):
+        if overlap < SHAPED:
+            raise BadInput(
+                f"{s.clip.where}: the asset is elsewhere in frame_{s.clip.first:04d} than the other clips show it (it"
+                f" overlaps its mask by {overlap:.0%}): do they begin at the same moment, and is this its camera?"
+            )
+    return best[3]
+
+
+def clip_tracks(draw: Draw, asset: Asset, shots: Sequence[Shot], blank: MarkerTracks, progress) -> MarkerTracks:
+    """The tracks of clips of the asset, which show the same motion: `blank` with all that the pictures show.
 
     Raises BadInput where the thing is not found, or not followed.
     """
-    x, camera = np.asarray(asset.cage.vertices, np.float64), blank.camera
-    pose = found_pose(draw, x, camera, clip, masks[0], lambda done: progress("pose", 0.8 * done))
+    x = np.asarray(asset.cage.vertices, np.float64)
+    pose = common_pose(draw, x, shots, lambda done: progress("pose", 0.8 * done))
     if len(blank.planes):
-        pose = resting(pose, x, camera, blank.planes)
+        pose = resting(pose, x, shots[0].camera if len(shots) == 1 else None, blank.planes)
     progress("pose", 1.0)
-    pixels = tracked(clip, masks, lambda done: progress("tracks", done))
+    found = []
+    for k, s in enumerate(shots):
+        found.append(attached(draw, asset, s, pose, lambda d, k=k: progress("tracks", (k + d) / len(shots))))
+    progress("tracks", 1.0)
+    times = np.unique(np.concatenate([moments(s.clip) for s in shots]))
+    of, metres = np.repeat(np.arange(len(shots)), [len(rest) for rest, *_ in found]), np.mean([m for *_, m in found])
+    points = np.full((len(times), len(of), 2), np.nan)
+    for k, (s, (_, pixels, _)) in enumerate(zip(shots, found, strict=True)):
+        points[np.ix_(np.searchsorted(times, moments(s.clip)), of == k)] = metres * pixels
+    held = np.concatenate([np.column_stack([s.held, np.full(len(s.held), k)]) for k, s in enumerate(shots)])
+    return replace(
+        blank,
+        times=times,
+        points=points,
+        rest=np.concatenate([rest for rest, *_ in found]),
+        held=held if len(held) else None,
+        pose=pose,
+        camera=Rig(tuple(s.camera for s in shots), of),
+        metres=float(metres),
+        start=posed(pose, x),
+    )
+
+
+def moments(clip: Clip) -> np.ndarray:
+    """The times (F,) of a clip's pictures [s], so rounded that those of two cameras that run alike are equal."""
+    return np.round(clip.times, 4)
+
+
+def attached(draw: Draw, asset: Asset, shot: Shot, pose: np.ndarray, progress) -> tuple[np.ndarray, np.ndarray, float]:
+    """Markers of a shot: where they are on the asset (M, 3), their pixels (F, M, 2), and the size of a pixel [m] there.
+
+    Raises BadInput where the surface is not followed.
+    """
+    clip, masks, camera = shot.clip, shot.masks, shot.camera
+    x = np.asarray(asset.cage.vertices, np.float64)
+    pixels = tracked(clip, masks, progress)
     made = draw(from_body(camera, pose))
     ours, theirs = alike(made, clip.pictures[0].astype(np.float32) / 255, masks[0])
     flow = flow_between(theirs, ours)  # from the clip to the drawn body
@@ -244,18 +334,14 @@ def clip_tracks(draw: Draw, asset: Asset, clip: Clip, masks: np.ndarray, blank: 
             f"{clip.where}: its surface is followed in {share:.0%} of the pictures only: the thing leaves the picture,"
             " turns away or is blurred"
         )
-    progress("tracks", 1.0)
     W, away = surface_weights(x, asset.cage.tets, from_body(camera, pose).points_at(made[2], column, row))
     near = away < OFF_THE_CAGE * np.ptp(x, axis=0).max()
-    rest, pixels = (W @ x)[near], pixels[:, near]
-    metres = float(np.median(made[2][row, column])) / np.sqrt(camera.fx * camera.fy)
-    found = {"times": clip.times, "points": pixels * metres, "rest": rest, "pose": pose}
-    return replace(blank, **found, metres=metres, start=posed(pose, x))
+    return (W @ x)[near], pixels[:, near], float(np.median(made[2][row, column])) / np.sqrt(camera.fx * camera.fy)
 
 
-def resting(pose: np.ndarray, x: np.ndarray, camera: Camera, planes: np.ndarray) -> np.ndarray:
+def resting(pose: np.ndarray, x: np.ndarray, camera: Camera | None, planes: np.ndarray) -> np.ndarray:
     """The pose after a body of vertices x (V, 3) is laid flat on the plane that it is nearest to, if it has a side that
-    is almost so, and moved along the line of sight until it touches it."""
+    is almost so, and moved along the camera's line of sight, or without one along the normal, until it touches it."""
     at = posed(pose, x)
     gaps = (at @ planes[:, :3].T).min(0) - planes[:, 3]
     k = int(np.abs(gaps).argmin())
@@ -269,8 +355,10 @@ def resting(pose: np.ndarray, x: np.ndarray, camera: Camera, planes: np.ndarray)
         new[:3, :3] = Rotation.align_vectors([-n], [area[below] @ sides[below]])[0].as_matrix()
         new[:3, 3] = at.mean(0) - new[:3, :3] @ at.mean(0)
     at = posed(new, at)
-    sight = at.mean(0) - camera.position
-    sight = sight / np.linalg.norm(sight)
-    along = sight if abs(n @ sight) > 0.2 else n
+    along = n
+    if camera is not None:
+        sight = at.mean(0) - camera.position
+        sight = sight / np.linalg.norm(sight)
+        along = sight if abs(n @ sight) > 0.2 else n
     new[:3, 3] -= ((at @ n).min() - planes[k, 3]) / (n @ along) * along
     return new @ pose

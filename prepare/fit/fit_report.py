@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from core.report import Section, Table, html_page
-from prepare.fit.clip_masks import Clip
+from prepare.fit.clip_tracks import Shot, moments
 from prepare.fit.marker_tracks import MarkerTracks
 from prepare.fit.material_fit import MaterialFit, Number
 
@@ -52,9 +53,10 @@ def page_of(found: MaterialFit | None, tracks: MarkerTracks, name: str, more: Se
     curves = {}
     for m in np.argsort(-travel)[:MARKERS_DRAWN]:
         axis = int(np.nanstd(tracks.points[:, m], axis=0).argmax())
-        lines = {"seen": tracks.points[:, m, axis], "fitted": found.modelled[:, m, axis]}
-        lines |= {f"young x {factor:g}": made[:, m, axis] for factor, made in found.by_factor.items()}
-        curves[f"marker {m}, {'xyz'[axis]} [m] over time [s]"] = plot(tracks.times, lines)
+        when = next(times for times, group in tracks.by_camera() if group[m])
+        lines = {"seen": tracks.points[when, m, axis], "fitted": found.modelled[when, m, axis]}
+        lines |= {f"young x {factor:g}": made[when, m, axis] for factor, made in found.by_factor.items()}
+        curves[f"marker {m}, {'xyz'[axis]} [m] over time [s]"] = plot(tracks.times[when], lines)
     x, y = np.log10(found.scan[:, 0]), np.log10(found.scan[:, 1])
     curves["distance [m] over Young's modulus [Pa], logarithms: the first scan"] = plot(x, {"": y})
     note = (
@@ -98,14 +100,17 @@ def plot(x: np.ndarray, lines: dict[str, np.ndarray]) -> str:
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}">{"".join(parts)}</svg>'
 
 
-def mask_pictures(clip: Clip, masks: np.ndarray, tracks: MarkerTracks) -> dict[str, np.ndarray]:
-    """Some pictures of a clip with the outline of the thing and the markers that are followed, by their names."""
-    shown = {}
-    for k in np.linspace(0, len(masks) - 1, SHOWN).round().astype(int):
+def mask_pictures(shot: Shot, tracks: MarkerTracks, number: int = 0) -> dict[str, np.ndarray]:
+    """Some pictures of a clip with the outline of the thing and the markers that are followed, by their names.
+
+    number  of the shot's camera in the tracks
+    """
+    shown, clip, rows = {}, shot.clip, np.searchsorted(tracks.times, moments(shot.clip))
+    for k in np.linspace(0, len(rows) - 1, SHOWN).round().astype(int):
         picture = clip.pictures[k].copy()
-        lines, _ = cv2.findContours(masks[k].astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        lines, _ = cv2.findContours(shot.masks[k].astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(picture, lines, -1, OUTLINE, 1)
-        for place in tracks.points[k][tracks.seen[k]] / tracks.metres:
+        for place in tracks.points[rows[k]][tracks.seen[rows[k]] & (tracks.camera.of == number)] / tracks.metres:
             cv2.circle(picture, tuple(np.floor(place).astype(int).tolist()), 1, DOT, -1)
-        shown[f"frame_{clip.first + k:04d}, {clip.times[k]:.2f} s"] = picture
+        shown[f"{Path(clip.where).name}: frame_{clip.first + k:04d}, {clip.times[k]:.2f} s"] = picture
     return shown

@@ -24,8 +24,34 @@ NEIGHBOURS = 6  # markers, whose mean motion is taken from a marker's where its 
 
 
 @dataclass(frozen=True)
+class Rig:
+    """Cameras that stand still, and the number of that which sees each of M points, (M,). As of a Camera:"""
+
+    cameras: tuple[Camera, ...]
+    of: np.ndarray
+
+    def part(self, some: np.ndarray) -> Rig:
+        """Of some of the points."""
+        return Rig(self.cameras, self.of[some])
+
+    def projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions x, y (..., M) [px] in their cameras' pictures, and depths, of points (..., M, 3)."""
+        seen = np.empty((3, *points.shape[:-1]))
+        for k, camera in enumerate(self.cameras):
+            seen[..., self.of == k] = camera.projected(points[..., self.of == k, :])
+        return tuple(seen)
+
+    def slopes(self, points: np.ndarray) -> np.ndarray:
+        """Derivatives (M, 2, 3) [px/m] of the positions of points (M, 3)."""
+        found = np.empty((len(points), 2, 3))
+        for k, camera in enumerate(self.cameras):
+            found[self.of == k] = camera.slopes(points[self.of == k])
+        return found
+
+
+@dataclass(frozen=True)
 class MarkerTracks:
-    """Markers seen over time, in metres and seconds, in a world with y up; or in the pictures of a camera.
+    """Markers seen over time, in metres and seconds, in a world with y up; or in the pictures of cameras.
 
     times    (F,) ascending;   points  (F, M, 3) places, NaN where a marker is not seen
     rest     (M, 3) where the markers are on the asset, in its frame
@@ -35,8 +61,9 @@ class MarkerTracks:
     planes   (P, 4) normal n and offset d of solid half spaces: the body stays in n x >= d
     gravity  (3,) [m/s^2]
     camera   None; or what the pictures are taken with: points (F, M, 2) are then positions in them times `metres`, the
-             size of a pixel at the body's distance [m], and `held` (B, 4) boxes [px] in the first picture;
-             `start`, places of the cage's vertices at the first time, (V, 3), is then known
+             size of a pixel at the body's distance [m] (of several cameras the mean), and `held` (B, 5) boxes [px] in
+             the first pictures, with their camera's number; `start`, places of the cage's vertices at the first time,
+             (V, 3), is then known
     """
 
     times: np.ndarray
@@ -47,7 +74,7 @@ class MarkerTracks:
     pose: np.ndarray | None
     planes: np.ndarray
     gravity: np.ndarray
-    camera: Camera | None = None
+    camera: Rig | None = None
     metres: float = 1.0
     start: np.ndarray | None = None
 
@@ -56,26 +83,40 @@ class MarkerTracks:
         """Whether a marker is seen, (F, M)."""
         return np.isfinite(self.points).all(2)
 
-    def observed(self, places: np.ndarray) -> np.ndarray:
-        """The coordinates (..., D) of places (..., 3) [m] that are compared with `points`."""
+    def by_camera(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Of each camera numbers of the times at which it sees markers, and which it sees, (M,) bool; all without one.
+
+        Cameras need not take their pictures at the same times.
+        """
+        if self.camera is None:
+            return [(np.arange(len(self.times)), np.ones(len(self.rest), bool))]
+        groups = [self.camera.of == k for k in range(len(self.camera.cameras))]
+        return [(np.flatnonzero(self.seen[:, group].any(1)), group) for group in groups]
+
+    def observed(self, places: np.ndarray, some=np.s_[:]) -> np.ndarray:
+        """The coordinates (..., D) of places (..., 3) [m] of (some of) the markers that are compared with `points`."""
         if self.camera is None:
             return places
-        return self.metres * np.stack(self.camera.projected(places)[:2], -1)
+        return self.metres * np.stack(self.camera.part(some).projected(places)[:2], -1)
 
-    def slopes(self, places: np.ndarray) -> np.ndarray:
-        """Derivatives (M, D, 3) of what is observed of places (M, 3)."""
+    def slopes(self, places: np.ndarray, some=np.s_[:]) -> np.ndarray:
+        """Derivatives (M, D, 3) of what is observed of places (M, 3) of (some of) the markers."""
         if self.camera is None:
             return np.tile(np.eye(3), (len(places), 1, 1))
-        return self.metres * self.camera.slopes(places)
+        return self.metres * self.camera.part(some).slopes(places)
 
     def is_held(self, x: np.ndarray) -> np.ndarray:
-        """Mask (V,) of the cage's vertices x (V, 3) at rest that stand still."""
+        """Mask (V,) of the cage's vertices x (V, 3) at rest that stand still: in boxes of each camera that has some."""
         if self.held is None:
             return np.zeros(len(x), bool)
         if self.camera is None:
             return ((x >= self.held[0]) & (x <= self.held[1])).all(1)
-        u, v, _ = self.camera.projected(self.start)
-        return np.any([(u >= l) & (v >= t) & (u <= r) & (v <= b) for l, t, r, b in self.held], axis=0)
+        found = np.ones(len(x), bool)
+        for k in np.unique(self.held[:, 4]).astype(int):
+            u, v, _ = self.camera.cameras[k].projected(self.start)
+            boxes = self.held[self.held[:, 4] == k, :4]
+            found &= np.any([(u >= l) & (v >= t) & (u <= r) & (v <= b) for l, t, r, b in boxes], axis=0)
+        return found
 
 
 OPTIONAL = {"held": (2, 3), "release": (), "pose": (4, 4), "planes": (None, 4), "gravity": (3,)}
@@ -160,12 +201,15 @@ def surface_weights(vertices: np.ndarray, tets: np.ndarray, points: np.ndarray) 
 
 def noise_of(tracks: MarkerTracks) -> float:
     """Standard deviation [m] of a coordinate's noise, from third differences, which a smooth motion hardly has."""
-    points = tracks.points
-    if tracks.camera is not None:  # pictures are few in a period: what neighbours do as well is no noise
-        away = np.linalg.norm(tracks.rest[:, None] - tracks.rest[None], axis=2)
-        near = np.argsort(away, axis=1)[:, 1 : NEIGHBOURS + 1]
-        points = points - points[:, near].mean(2)
-    third = np.diff(points, 3, axis=0)
+    parts = []
+    for rows, group in tracks.by_camera():
+        points, rest = tracks.points[rows][:, group], tracks.rest[group]
+        if tracks.camera is not None:  # pictures are few in a period: what neighbours do as well is no noise
+            away = np.linalg.norm(rest[:, None] - rest[None], axis=2)
+            near = np.argsort(away, axis=1)[:, 1 : NEIGHBOURS + 1]
+            points = points - points[:, near].mean(2)
+        parts.append(np.diff(points, 3, axis=0).ravel())
+    third = np.concatenate(parts)
     third = third[np.isfinite(third)]
     spread = 1.4826 * np.median(np.abs(third)) / np.sqrt(20) if third.size else 0.0  # 1 + 9 + 9 + 1
     extent = np.nanmax(np.ptp(tracks.rest, axis=0))
@@ -174,14 +218,16 @@ def noise_of(tracks: MarkerTracks) -> float:
 
 def start_of(tracks: MarkerTracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places [m] and velocities [m/s] of the markers at the first time, (M, D) each; and which are known, (M,)."""
-    t = tracks.times[:START_FRAMES] - tracks.times[0]
     place, velocity = np.zeros_like(tracks.points[0]), np.zeros_like(tracks.points[0])
-    seen = tracks.seen[:START_FRAMES]
-    known = seen.sum(0) >= 3
-    for m in np.flatnonzero(known):
-        degree = 2 if seen[:, m].sum() > 3 else 1
-        fitted = np.polynomial.polynomial.polyfit(t[seen[:, m]], tracks.points[:START_FRAMES][seen[:, m], m], degree)
-        place[m], velocity[m] = fitted[0], fitted[1]
+    known = np.zeros(len(tracks.rest), bool)
+    for rows, group in tracks.by_camera():
+        t, points = tracks.times[rows[:START_FRAMES]] - tracks.times[0], tracks.points[rows[:START_FRAMES]]
+        seen = np.isfinite(points).all(2)
+        known |= group & (seen.sum(0) >= 3)
+        for m in np.flatnonzero(known & group):
+            degree = 2 if seen[:, m].sum() > 3 else 1
+            fitted = np.polynomial.polynomial.polyfit(t[seen[:, m]], points[seen[:, m], m], degree)
+            place[m], velocity[m] = fitted[0], fitted[1]
     return place, velocity, known
 
 
@@ -200,7 +246,7 @@ def posed(pose: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def rigid_pose_seen(
-    camera: Camera, body: np.ndarray, seen: np.ndarray, pose: np.ndarray, rounds: int = 6
+    camera: Camera | Rig, body: np.ndarray, seen: np.ndarray, pose: np.ndarray, rounds: int = 6
 ) -> np.ndarray:
     """The pose (4, 4) that takes points of the body (N, 3) to where they are seen (N, 2) [px]: Gauss-Newton from a
     first pose, with weights of Cauchy."""

@@ -154,10 +154,12 @@ class MaterialProblem:
         W = c.weights[known]
         if t.start is None:
             turned = posed(pose, t.rest[known])
-            self.x0 = posed(pose, c.vertices + self.shape.through(W, t.slopes(turned) @ R, place[known] - turned))
+            self.x0 = posed(
+                pose, c.vertices + self.shape.through(W, t.slopes(turned, known) @ R, place[known] - turned)
+            )
         else:
             self.x0 = t.start
-        seen = t.slopes(W @ self.x0)
+        seen = t.slopes(W @ self.x0, known)
         speed = max(0.02 * float(np.sqrt((velocity[known] ** 2).mean())), 2e-3 * self.size / 0.1)
         fields = []
         v = np.zeros_like(self.x0)
@@ -237,8 +239,8 @@ def inner_motion(tracks: MarkerTracks) -> float:
             if tracks.camera is None:
                 pose = rigid_pose(tracks.rest[seen], points[seen])
             else:
-                pose = rigid_pose_seen(tracks.camera, tracks.rest[seen], points[seen] / tracks.metres, pose)
-            off = points[seen] - tracks.observed(posed(pose, tracks.rest[seen]))
+                pose = rigid_pose_seen(tracks.camera.part(seen), tracks.rest[seen], points[seen] / tracks.metres, pose)
+            off = points[seen] - tracks.observed(posed(pose, tracks.rest[seen]), seen)
             squares.append((off**2).sum(1).mean())
     return float(np.sqrt(np.mean(squares))) if squares else 0.0
 

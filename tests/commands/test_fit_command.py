@@ -148,7 +148,7 @@ def test_a_camera_that_is_found_is_written_to_be_given_again(filmed, tmp_path, c
     run(words)
     monkeypatch.setattr("prepare.fit.register.CapturedPlace.found_camera", None)  # what was found is kept
     run(words)
-    said = "camera: vertical field of view 32.00 ± 0.20 degrees, k1 -0.020; 40 of 50 points agree, to 0.50 px; wrote "
+    said = "camera: vertical field of view 32.00 ± 0.20 degrees, k1 -0.020; 40 of 50 points agree, to 0.50 px\nwrote "
     assert capsys.readouterr().out.count(f"{said}{tmp_path}/o.camera.json\n") == 2
     (written,) = read_camera_views(tmp_path / "o.camera.json", [tmp_path / "c.mp4"])
     np.testing.assert_allclose(written.world_to_camera, camera_of().world_to_camera)
@@ -226,6 +226,7 @@ def test_the_material_of_a_block_is_found_from_a_film(filmed, tmp_path, capsys, 
         (VIDEO + " --preview", "--preview needs --report"),
         (VIDEO + " --plane 0 0 0 1", "the normal of a plane is zero"),
         (VIDEO + " --part 0.1 0.2", "7 pictures; at least 12"),
+        (VIDEO + " --part 0 1 --part 0 1", "--part is given once or for each of 1 videos"),
         (VIDEO + " --part nan 0.2", "BEGIN is 0 or more, and before END"),
         (VIDEO + " --release 0", "is after the first picture"),
         (VIDEO.replace("clip.mp4", "none.mp4"), "none.mp4: no such file"),

@@ -12,9 +12,9 @@ from core.errors import BadInput
 from display.drawn_body import DrawnBody
 from display.headless.video import Video
 from prepare.fit.clip_masks import Clip, backdrop_of, clip_masks, read_clip, read_clip_marks, straightened
-from prepare.fit.clip_tracks import ALIGNED_SIDE, clip_tracks, found_pose, resting, tracked
+from prepare.fit.clip_tracks import ALIGNED_SIDE, Shot, clip_tracks, found_pose, resting, tracked
 from prepare.fit.fit_report import mask_pictures
-from prepare.fit.marker_tracks import MarkerTracks, noise_of, posed, surface_weights
+from prepare.fit.marker_tracks import MarkerTracks, noise_of, posed, start_of, surface_weights
 from prepare.progress import no_progress
 from prepare.segment.marks import ViewMarks, write_marks
 from prepare.train.capture import Lens
@@ -55,9 +55,8 @@ def masks(clip, moving):
 
 
 def blank(**changes) -> MarkerTracks:
-    held = np.array([[0, 0, 40, PIXELS[1]]])
     gravity = np.array([0, -9.81, 0])
-    return replace(MarkerTracks(TIMES, None, None, held, np.inf, None, NO_PLANES, gravity, camera_of()), **changes)
+    return replace(MarkerTracks(TIMES, None, None, None, np.inf, None, NO_PLANES, gravity), **changes)
 
 
 def test_a_drawn_body_is_where_its_cage_is(block):
@@ -136,7 +135,8 @@ def test_a_body_is_laid_on_a_plane_and_moved_along_the_line_of_sight(block):
 
 def test_points_of_the_surface_are_followed(block, clip, masks, moving):
     drawn = DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE)
-    tracks = clip_tracks(drawn.picture, block, clip, masks, blank(), no_progress)
+    shot = Shot(clip, masks, camera_of(), np.array([[0, 0, 40, PIXELS[1]]]))
+    tracks = clip_tracks(drawn.picture, block, [shot], blank(), no_progress)
     drawn.destroy()
     x = block.cage.vertices.astype(float)
     weights, away = surface_weights(x, block.cage.tets, tracks.rest)
@@ -146,8 +146,28 @@ def test_points_of_the_surface_are_followed(block, clip, masks, moving):
     assert 0.005 < noise_of(tracks) / tracks.metres < 0.3
     assert np.linalg.norm(tracks.start - moving[0], axis=1).max() < 0.01
     assert 9 <= tracks.is_held(x).sum() < len(x)
-    shown = mask_pictures(clip, masks, tracks)
+    shown = mask_pictures(shot, tracks)
     assert len(shown) == 6 and all(p.shape == clip.pictures[0].shape for p in shown.values())
+
+
+def test_a_second_camera_shows_the_depth_that_one_does_not(block, clip, moving, masks):
+    """The second stands beside the block, at 90 degrees, and takes its pictures between those of the first."""
+    middle, later = SIZE / 2 - [0, 0.02, 0], TIMES + 0.25 * TIMES[1]
+    aside = perspective(*PIXELS, np.radians(32), look_at(middle + [0.36, 0.12, 0.06], middle))
+    ways = let_go(block, later)
+    other = Clip(filmed(block, ways, aside, 1), later - later[0] + 0.25 * TIMES[1], 0, "aside")
+    cut = clip_masks(other, {0: marks_of(aside, ways).objects["block"]["frame_0000"]})
+    front = Shot(clip, masks, camera_of(), np.array([[0, 0, 40, PIXELS[1]]]))
+    shots = [front, Shot(other, cut, aside, np.zeros((0, 4)))]
+    drawn = DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE)
+    one, both = (clip_tracks(drawn.picture, block, part, blank(), no_progress) for part in (shots[:1], shots))
+    drawn.destroy()
+    depth = camera_of().world_to_camera[2, :3]
+    near, off = (abs((t.start - moving[0]).mean(0) @ depth) for t in (both, one))
+    assert near < 0.7 * off
+    assert len(both.times) == 2 * len(TIMES) and np.bincount(both.camera.of).min() > 10
+    assert 0.005 < noise_of(both) / both.metres < 0.3 and start_of(both)[2].mean() > 0.9
+    assert 9 <= both.is_held(block.cage.vertices.astype(float)).sum() < len(moving[0])
 
 
 def test_a_marker_that_is_covered_for_a_moment_is_found_again_and_one_that_strays_is_not():

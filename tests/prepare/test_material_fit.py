@@ -12,7 +12,7 @@ from core.material import Material
 from core.tetmesh import box_mesh
 from prepare.fit.fit_report import lines_of, page_of
 from prepare.fit.linear_elasticity import ElasticShape
-from prepare.fit.marker_tracks import MarkerTracks
+from prepare.fit.marker_tracks import MarkerTracks, Rig
 from prepare.fit.material_fit import MaterialProblem, fit_material, scan_youngs
 from prepare.progress import no_progress
 
@@ -198,8 +198,8 @@ def test_the_same_is_found_from_one_camera_although_markers_are_offset():
     seen = metres * np.stack(camera.projected(tracks.points)[:2], -1)
     seen += metres * (0.2 * rng.normal(size=seen.shape) + 0.5 * rng.normal(size=seen.shape[1:]))
     u, v, _ = camera.projected(x[x[:, 0] < 1e-6])
-    held = np.array([[u.min() - 1, v.min() - 1, u.max() + 1, v.max() + 1]])
-    start = {"camera": camera, "metres": metres, "pose": np.eye(4), "start": x, "held": held}
+    held, rig = np.array([[u.min() - 1, v.min() - 1, u.max() + 1, v.max() + 1, 0]]), Rig((camera,), np.zeros(12, int))
+    start = {"camera": rig, "metres": metres, "pose": np.eye(4), "start": x, "held": held}
     found = fitted(replace(tracks, points=seen, **start))
     young, damping = found.numbers
     np.testing.assert_allclose(young.played, TRUE.young, rtol=0.03)
@@ -213,12 +213,12 @@ def test_a_free_body_seen_by_one_camera_sets_off_as_it_was_thrown():
     camera = perspective(480, 360, 0.6, look_at((0.1, 0.1, 0.8), (0.12, 0.0, 0.0)))
     rng, times, metres = np.random.default_rng(4), np.arange(FRAMES) / 60, 0.8 / camera.fx
     x, tets, _ = box_mesh(SIZE, (8, 1, 1))
-    rest, thrown = rng.uniform(0, 1, (40, 3)) * SIZE, np.array([0.4, 0.9, 0.0])
+    rig, rest, thrown = Rig((camera,), np.zeros(40, int)), rng.uniform(0, 1, (40, 3)) * SIZE, np.array([0.4, 0.9, 0.0])
     bent = 0.008 * np.sin(40 * times)[:, None, None] * np.cos(2 * np.pi * rest[:, :1] / SIZE[0]) * [0, 1, 0]
     places = rest + bent + times[:, None, None] * thrown + times[:, None, None] ** 2 / 2 * GRAVITY
     seen = metres * (np.stack(camera.projected(places)[:2], -1) + 0.2 * rng.normal(size=(FRAMES, 40, 2)))
     tracks = MarkerTracks(
-        times, seen, rest, None, np.inf, np.eye(4), np.zeros((0, 4)), GRAVITY, camera, metres, x.astype(float)
+        times, seen, rest, None, np.inf, np.eye(4), np.zeros((0, 4)), GRAVITY, rig, metres, x.astype(float)
     )
     problem = MaterialProblem(tracks, x, tets, ASSET, roll, "clip")
     middle = problem.v0.mean(0)

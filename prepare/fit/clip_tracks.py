@@ -15,6 +15,7 @@ from core.camera import Camera, directions_around
 from core.errors import BadInput
 from prepare.fit.clip_masks import Clip, flow_between
 from prepare.fit.marker_tracks import (
+    APART,
     OFF_THE_CAGE,
     MarkerTracks,
     posed,
@@ -225,7 +226,7 @@ def clip_tracks(draw: Draw, asset: Asset, clip: Clip, masks: np.ndarray, blank: 
     """
     x, camera = np.asarray(asset.cage.vertices, np.float64), blank.camera
     pose = found_pose(draw, x, camera, clip, masks[0], lambda done: progress("pose", 0.8 * done))
-    if len(blank.planes):
+    if len(blank.planes) and blank.gap(posed(pose, x)) < APART * np.ptp(x, axis=0).max():
         pose = resting(pose, x, camera, blank.planes)
     progress("pose", 1.0)
     pixels = tracked(clip, masks, lambda done: progress("tracks", done))
@@ -257,8 +258,7 @@ def resting(pose: np.ndarray, x: np.ndarray, camera: Camera, planes: np.ndarray)
     """The pose after a body of vertices x (V, 3) is laid flat on the plane that it is nearest to, if it has a side that
     is almost so, and moved along the line of sight until it touches it."""
     at = posed(pose, x)
-    gaps = (at @ planes[:, :3].T).min(0) - planes[:, 3]
-    k = int(np.abs(gaps).argmin())
+    k = int(np.abs((at @ planes[:, :3].T).min(0) - planes[:, 3]).argmin())
     n = planes[k, :3]
     hull = ConvexHull(at)
     sides, corners = hull.equations[:, :3], at[hull.simplices]

@@ -18,6 +18,7 @@ from core.rotation import best_fit_rotation
 START_FRAMES = 5  # through whose places a parabola gives the start: a place and a speed less noisy than those of one
 FEWEST_FRAMES = 12
 OFF_THE_CAGE = 0.1  # of the body's extent: a marker further outside is on another body, or in other units
+APART = 0.15  # of a body's size: what is farther from all planes does not lie on one; a pose is off by less
 LARGEST_FILE = 1 << 30  # [bytes]
 OUTLIER_PIXELS = 2.0  # [px] at which a point, seen in a picture, counts half for a pose
 NEIGHBOURS = 6  # markers, whose mean motion is taken from a marker's where its noise is estimated
@@ -68,13 +69,18 @@ class MarkerTracks:
             return np.tile(np.eye(3), (len(places), 1, 1))
         return self.metres * self.camera.slopes(places)
 
-    def is_held(self, x: np.ndarray) -> np.ndarray:
-        """Mask (V,) of the cage's vertices x (V, 3) at rest that stand still."""
+    def gap(self, x: np.ndarray) -> float:
+        """Distance [m] from points (V, 3) to the nearest plane."""
+        return float(np.abs((x @ self.planes[:, :3].T).min(0) - self.planes[:, 3]).min())
+
+    def is_held(self, x: np.ndarray, start: np.ndarray | None) -> np.ndarray:
+        """Mask (V,) of a cage's vertices that stand still; x, and `start` in a picture: their places (V, 3) at rest and
+        at the first time."""
         if self.held is None:
             return np.zeros(len(x), bool)
         if self.camera is None:
             return ((x >= self.held[0]) & (x <= self.held[1])).all(1)
-        u, v, _ = self.camera.projected(self.start)
+        u, v, _ = self.camera.projected(start)
         return np.any([(u >= l) & (v >= t) & (u <= r) & (v <= b) for l, t, r, b in self.held], axis=0)
 
 

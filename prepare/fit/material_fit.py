@@ -13,6 +13,7 @@ from core.material import RAYLEIGH_FREQUENCY, Material
 from prepare.fit.least_squares import BLOCKS, Fitted, Prior, minimise
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
 from prepare.fit.marker_tracks import (
+    APART,
     MarkerTracks,
     marker_weights,
     noise_of,
@@ -109,7 +110,7 @@ class MaterialProblem:
         x, tets = np.asarray(vertices, np.float64), np.asarray(tets, np.int64)
         held = np.zeros(0, np.int64)
         if tracks.held is not None:
-            held = np.flatnonzero(tracks.is_held(x))
+            held = np.flatnonzero(tracks.is_held(x, tracks.start))
             if len(held) < 3:
                 raise BadInput(
                     f"{where}: the held box contains {len(held)} vertices of the cage; at least 3 are needed"
@@ -169,6 +170,9 @@ class MaterialProblem:
             amount = np.linalg.lstsq(A, velocity[known].ravel(), rcond=None)[0]
             v = np.tensordot(amount, np.stack(rigid), 1)
             fields += [(0 * r, speed * field) for field in rigid]
+            if t.camera is not None and len(t.planes) and t.gap(self.x0) > APART * self.size:
+                sight = self.x0.mean(0) - t.camera.position  # when a thing meets a floor shows how far away it is
+                fields += [(2e-3 * self.size * np.tile(sight / np.linalg.norm(sight), (len(r), 1)), 0 * r)]
         v += self.shape.through(W, seen @ R, velocity[known] - np.einsum("mij,mj->mi", seen, W @ v)) @ R.T
         self.v0 = v
         for mode in self.shape.modes @ R.T:
@@ -350,7 +354,7 @@ def cage_shift(problem: MaterialProblem, fitted: Fitted) -> np.ndarray:
     if len(cage.vertices) > MOST_REFINED:
         return np.zeros_like(fitted.theta)
     x, tets, W = subdivided(cage.vertices, cage.tets)
-    held = np.flatnonzero(np.asarray((W[:, cage.held] if len(cage.held) else W[:, :0]).sum(1)).ravel() > 0.999)
+    held = np.flatnonzero(problem.tracks.is_held(x, W @ problem.x0))
     fine = CageOfMarkers(x, tets, held, marker_weights(x, tets, problem.tracks.rest, problem.where))
 
     def residuals(thetas: np.ndarray) -> np.ndarray:

@@ -43,6 +43,7 @@ class FilmedToy:
     tilt     [degrees] of the board that it slides down; None: there is none
     turn     [degrees] about the vertical;   before  [s] that have passed when the film begins
     shake    [px] by which the hand that holds the camera turns it to each side
+    yield_strain  beyond which it stays bent; None: it springs back
     """
 
     asset: str
@@ -58,11 +59,13 @@ class FilmedToy:
     before: float = 0.0
     seconds: float = 1.0
     shake: float = 0.0
+    yield_strain: float | None = None
 
 
 CLIPS = {
     "rabbit_hung": FilmedToy("rabbit", 5e3, 3.0, held=0.25, push=(0.5, 0.0, 0.25), turn=25.0),
     "rabbit_by_hand": FilmedToy("rabbit", 5e3, 3.0, held=0.25, push=(0.5, 0.0, 0.25), turn=25.0, shake=6.0),
+    "rabbit_of_clay": FilmedToy("rabbit", 2e4, 3.0, held=0.25, push=(1.0, 0.0, 0.4), turn=25.0, yield_strain=0.05),
     "cat_hung": FilmedToy("toy_cat", 1.5e4, 6.0, held=0.2, push=(1.6, 0.0, 0.6), turn=-20.0),
     "teddy_hung": FilmedToy("toy_teddy", 8e3, 4.0, held=0.3, push=(0.9, 0.0, 0.3), turn=15.0),
     "penguin_hung": FilmedToy("toy_penguin", 3e4, 3.0, held=0.25, push=(1.8, 0.0, 0.5), turn=-35.0),
@@ -84,7 +87,7 @@ def film_toy(name: str, folder: Path, report: Callable[[str], None], *, size=(48
     clip = CLIPS[name]
     asset = Asset.load(find_asset(clip.asset))
     body = replace(asset.material, young=clip.young, damping=clip.damping, friction=clip.friction)
-    body = replace(body, kinetic_friction=None)
+    body = replace(body, kinetic_friction=None, yield_strain=clip.yield_strain)
     count, rng = round(clip.seconds * fps), np.random.default_rng(seed)
     moments = (np.arange(EXPOSURES) - EXPOSURES // 2) * SHUTTER / EXPOSURES
     times = (np.arange(count)[:, None] / fps + moments - moments[0]).ravel()

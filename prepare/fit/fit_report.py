@@ -23,7 +23,7 @@ OUTLINE, DOT = (230, 60, 40), (40, 200, 60)
 def said(number: Number) -> str:
     """The number with its interval, or that it is not visible."""
     if not number.seen:
-        return UNSEEN
+        return f"none seen below {number.low:.2g}" if number.low > 0 and np.isinf(number.high) else UNSEEN
     return f"{number.value:.3g} ({number.low:.3g} to {number.high:.3g}) {number.unit}".rstrip()
 
 
@@ -45,7 +45,7 @@ def page_of(found: MaterialFit | None, tracks: MarkerTracks, name: str, more: Se
     if found is None:
         return html_page(f"{name} in a clip", "Not fitted yet: look whether it is where the masks are.", more)
     rows = [
-        (n.name, *((f"{q:.3g}" for q in (n.value, n.low, n.high)) if n.seen else (UNSEEN, "", "")), n.unit)
+        (n.name, *((f"{q:.3g}" for q in (n.value, n.low, n.high)) if n.seen else (said(n), "", "")), n.unit)
         for n in found.numbers
     ]
     travel = np.nan_to_num(np.nanstd(tracks.points, axis=0)).sum(1)

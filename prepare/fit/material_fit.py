@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from core.errors import BadInput
 from core.material import RAYLEIGH_FREQUENCY, Material
-from prepare.fit.least_squares import BLOCKS, Fitted, Prior, minimise
+from prepare.fit.least_squares import BLOCK_QUANTILE, BLOCKS, Fitted, Prior, loss_of, minimise
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
 from prepare.fit.marker_tracks import (
     MarkerTracks,
@@ -28,14 +28,20 @@ from prepare.progress import Progress
 # Out: places (F, C, M, 3) [m].
 Roll = Callable[["CageOfMarkers", list[tuple[Material, np.ndarray, np.ndarray]]], np.ndarray]
 
-STEPS = ("scan", "fit", "interval")  # of the progress
-YOUNG_RANGE, DAMPING_RANGE, FRICTION_RANGE = (1e2, 3e8), (0.02, 100.0), (0.0, 1.5)
+STEPS = ("scan", "fit", "yield", "interval")  # of the progress
+YOUNG_RANGE, DAMPING_RANGE, FRICTION_RANGE, YIELD_RANGE = (1e2, 3e8), (0.02, 100.0), (0.0, 1.5), (1e-3, 2.0)
+ELASTIC = 1.5  # yield strain above which the material is taken for elastic: nothing is strained so far
 SCAN_FACTOR = 1.35  # from one Young's modulus of the scan to the next: 16% in frequency
 SCAN_RANGE = (5e1, 3e7)  # [Pa] at 100 kg/m^3 and a size of 10 cm, and with size^2 and density
 FINE_FACTORS = 1.1 ** np.arange(-3, 4)
 FINE_DAMPINGS = (0.5, 4.0)  # [1/s]
+YIELD_SCAN = np.geomspace(0.005, 0.6, 16)
+YIELD_SHARES = np.geomspace(1.0, 0.2, 7)  # of the largest yield strain that the elastic motion reaches
+YIELD_YOUNGS = 1.22 ** np.arange(-1, 8)  # what yields is stiffer than what gives way as far and springs back
+YIELD_FINE = 1.05 ** np.arange(-2, 3)
+BETTER = 1 + BLOCK_QUANTILE**2 / (BLOCKS - 1)  # ratio of losses at which one parameter more is one: F of 1 and 9, 5%
 FIRST_FRICTION = 0.25  # slides on most slopes: what sticks says nothing of how much less would let it slide
-UNITS = {"young": "Pa", "damping": "1/s", "friction": ""}
+UNITS = {"young": "Pa", "damping": "1/s", "friction": "", "yield_strain": ""}
 LONGEST_LAG = 1 / 1260  # [s] of inner friction in the simulator: its substep; other integrators take less
 MODES = 2  # whose amplitude and speed at the start are fitted
 NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
@@ -101,8 +107,8 @@ class MaterialFit:
 
 
 class MaterialProblem:
-    """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, and
-    corrections of the start (of the velocity of a free body, and of the amplitude and speed of its slowest modes)."""
+    """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, log
+    yield strain, and corrections of the start (of the velocity of a free body, and of the amplitude and speed of its slowest modes)."""
 
     def __init__(self, tracks: MarkerTracks, vertices, tets, material: Material, roll: Roll, where: str):
         self.tracks, self.base, self.roll, self.where = tracks, material, roll, where
@@ -121,19 +127,20 @@ class MaterialProblem:
         self.shape = ElasticShape(x, tets, held, material.poisson, MODES)
         self._set_start()
         rubs = len(tracks.planes) > 0
-        self.names = ["young", "damping", *(["friction"] if rubs else [])]
+        self.names = ["young", "damping", *(["friction"] if rubs else []), "yield_strain"]
         self.main = len(self.names)
         self.rubs = rubs
         log, each = np.log, np.ones(len(self.fields))
         rows = {
-            "centre": [log(material.young), log(1.5), 0.4],
-            "spread": [6.0, 2.0, 1.0],
-            "low": [log(YOUNG_RANGE[0]), log(DAMPING_RANGE[0]), FRICTION_RANGE[0]],
-            "high": [log(YOUNG_RANGE[1]), log(DAMPING_RANGE[1]), FRICTION_RANGE[1]],
-            "step": [0.02, 0.1, 0.02],
+            "centre": [log(material.young), log(1.5), 0.4, log(YIELD_RANGE[1])],
+            "spread": [6.0, 2.0, 1.0, 6.0],
+            "low": [log(YOUNG_RANGE[0]), log(DAMPING_RANGE[0]), FRICTION_RANGE[0], log(YIELD_RANGE[0])],
+            "high": [log(YOUNG_RANGE[1]), log(DAMPING_RANGE[1]), FRICTION_RANGE[1], log(YIELD_RANGE[1])],
+            "step": [0.02, 0.1, 0.02, 0.05],
         }
+        rows = {n: row if rubs else [*row[:2], row[3]] for n, row in rows.items()}
         of_start = {"centre": 0.0, "spread": 20.0, "low": -200.0, "high": 200.0, "step": 1.0}
-        self.prior = Prior(**{n: np.r_[row[: self.main], of_start[n] * each] for n, row in rows.items()})
+        self.prior = Prior(**{n: np.r_[row, of_start[n] * each] for n, row in rows.items()})
 
     def check_motion(self) -> None:
         """Raise BadInput if the markers do not move against each other."""
@@ -178,12 +185,14 @@ class MaterialProblem:
     def material(self, theta: np.ndarray) -> Material:
         """The material of parameters (P,)."""
         friction = float(theta[2]) if self.rubs else self.base.friction
+        yields = float(np.exp(theta[self.main - 1]))
         return replace(
             self.base,
             young=float(np.exp(theta[0])),
             damping=float(np.exp(theta[1])),
             friction=friction,
             kinetic_friction=None if self.rubs else self.base.kinetic_friction,
+            yield_strain=yields if yields < ELASTIC else None,
         )
 
     def candidate(self, theta: np.ndarray) -> tuple[Material, np.ndarray, np.ndarray]:
@@ -301,12 +310,16 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     progress("scan", 1.0)
 
     def least() -> dict[str, np.ndarray]:
-        found = minimise(problem.residuals, scanned["guess"], problem.prior, 1.0, lambda d: progress("fit", d))
-        return {name: np.asarray(value) for name, value in vars(found).items()}
+        return arrays_of(
+            minimise(problem.residuals, scanned["guess"], problem.prior, 1.0, lambda d: progress("fit", d))
+        )
 
     kept = keep("fit", least)
     progress("fit", 1.0)
-    fitted = Fitted(**{**kept, "scale": float(kept["scale"]), "steps": int(kept["steps"])})
+    elastic = fitted_of(kept)
+    kept = keep("yield", lambda: fit_yield(problem, scanned["guess"], elastic, lambda d: progress("yield", d)))
+    progress("yield", 1.0)
+    fitted, none_below = fitted_of(kept), float(kept["none_below"])
     theta = fitted.theta
     played = [theta, theta - np.log(2) * np.eye(len(theta))[0], theta + np.log(2) * np.eye(len(theta))[0]]
     places = problem.places(np.stack(played))
@@ -324,9 +337,17 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     progress("interval", 1.0)
     left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
     numbers = numbers_of(problem, fitted, shift, mass_known, left)
+    keeps = problem.base.yield_strain  # of the asset, unless the motion excludes it
+    if theta[problem.main - 1] >= np.log(ELASTIC):
+        numbers = (*numbers[:-1], Number("yield_strain", "", none_below, none_below, np.inf, none_below, False))
+        keeps = None if keeps is None or keeps < none_below else keeps
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
     return MaterialFit(
-        material=replace(problem.base, **seen, **({"kinetic_friction": None} if "friction" in seen else {})),
+        material=replace(
+            problem.base,
+            **{"yield_strain": keeps, **seen},
+            **({"kinetic_friction": None} if "friction" in seen else {}),
+        ),
         numbers=numbers,
         scan=np.column_stack([youngs, scanned["scores"][:, 2] * problem.noise]),
         modelled=modelled,
@@ -338,6 +359,57 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
         steps=fitted.steps,
         mass_known=mass_known,
     )
+
+
+def arrays_of(fitted: Fitted) -> dict[str, np.ndarray]:
+    """A minimum as arrays that can be kept."""
+    return {name: np.asarray(value) for name, value in vars(fitted).items()}
+
+
+def fitted_of(kept: dict[str, np.ndarray]) -> Fitted:
+    """The minimum of arrays that were kept."""
+    own = {name: kept[name] for name in Fitted.__dataclass_fields__}
+    return Fitted(**{**own, "scale": float(kept["scale"]), "steps": int(kept["steps"])})
+
+
+def fit_yield(problem: MaterialProblem, guess: np.ndarray, elastic: Fitted, progress) -> dict[str, np.ndarray]:
+    """The minimum with a yield strain where it explains more than chance would, else the elastic one, as arrays.
+
+    `guess` (P,) is the start, but for what is scanned. And `none_below`: the largest yield strain of the scan that the
+    motion excludes if it is elastic, else 0.
+    """
+    k = problem.main - 1
+
+    def rolled(base: np.ndarray, youngs: np.ndarray, yields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (Y, E, P) of log E (Y, E) and log yield strains (Y,), and their residuals (Y, E, N)."""
+        thetas = np.tile(base, (*youngs.shape, 1))
+        thetas[..., 0], thetas[..., k] = youngs.clip(*np.log(YOUNG_RANGE)), yields[:, None]
+        return thetas, problem.residuals(thetas.reshape(-1, len(base))).reshape(*youngs.shape, -1)
+
+    young, none = elastic.theta[0], problem.prior.high[k]
+    yields = np.r_[np.log(YIELD_SCAN), none]
+    _, off = rolled(elastic.theta, np.full((len(yields), 1), young), yields)
+    reached = np.nanmax(np.abs(off - off[-1]), axis=(1, 2)) > 1.0  # what yields moves a marker by more than the noise
+    if not reached.any():
+        return {**arrays_of(elastic), "none_below": np.asarray(0.0)}
+    progress(0.1)
+    yields = np.r_[yields[reached].max() + np.log(YIELD_SHARES), none]
+    made, off = rolled(guess, np.tile(young + np.log(YIELD_YOUNGS), (len(yields), 1)), yields)
+    best = loss_of(off, elastic.scale).argmin(1)
+    fine = np.take_along_axis(made[..., 0], best[:, None], 1) + np.log(YIELD_FINE)
+    made, off = rolled(guess, fine, yields)
+    losses = loss_of(off, elastic.scale)
+    progress(0.3)
+    least, none_below, found = losses.min(1), 0.0, elastic
+    if least.argmin() < len(least) - 1:
+        start = made.reshape(-1, len(guess))[int(losses.argmin())]
+        found = minimise(problem.residuals, start, problem.prior, 1.0, lambda done: progress(0.3 + 0.7 * done))
+        before, after = loss_of(np.stack([elastic.residuals, found.residuals]), found.scale)
+        found = found if before > BETTER * after else elastic
+    excluded = yields[least > BETTER * least[-1]]
+    if found is elastic and len(excluded):
+        none_below = np.exp(excluded.max())
+    return {**arrays_of(found), "none_below": np.asarray(none_below)}
 
 
 def cage_shift(problem: MaterialProblem, fitted: Fitted) -> np.ndarray:

@@ -108,7 +108,8 @@ class MaterialFit:
 
 class MaterialProblem:
     """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, log
-    yield strain, and corrections of the start (of the velocity of a free body, and of the amplitude and speed of its slowest modes)."""
+    yield strain, and corrections of the start (of the velocity of a free body, and of the amplitude and speed of its
+    slowest modes)."""
 
     def __init__(self, tracks: MarkerTracks, vertices, tets, material: Material, roll: Roll, where: str):
         self.tracks, self.base, self.roll, self.where = tracks, material, roll, where

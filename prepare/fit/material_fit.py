@@ -340,6 +340,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     numbers = numbers_of(problem, fitted, shift, mass_known, left)
     keeps = problem.base.yield_strain  # of the asset, unless the motion excludes it
     if theta[problem.main - 1] >= np.log(ELASTIC):
+        none_below *= all(n.seen for n in numbers if n.name == "young")  # else the motion is not the material's doing
         numbers = (*numbers[:-1], Number("yield_strain", "", none_below, none_below, np.inf, none_below, False))
         keeps = None if keeps is None or keeps < none_below else keeps
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}

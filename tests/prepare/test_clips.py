@@ -150,6 +150,7 @@ def test_points_of_the_surface_are_followed(block, clip, masks, moving):
     assert len(shown) == 6 and all(p.shape == clip.pictures[0].shape for p in shown.values())
 
 
+@pytest.mark.long
 def test_a_second_camera_shows_the_depth_that_one_does_not(block, clip, moving, masks):
     """The second stands beside the block, at 90 degrees, and takes its pictures between those of the first."""
     middle, later = SIZE / 2 - [0, 0.02, 0], TIMES + 0.25 * TIMES[1]

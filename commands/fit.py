@@ -388,7 +388,7 @@ def film_of(films: tuple[np.ndarray, ...], fps: float) -> str:
 
 
 class Simulator:
-    """Rolls candidates out among the planes and in the gravity of the tracks; one solver a cage."""
+    """Rolls candidates out among the planes and in the gravity of the tracks; one solver a cage, whatever is held."""
 
     def __init__(self, tracks):
         self.tracks, self.solvers = tracks, {}
@@ -399,13 +399,16 @@ class Simulator:
         from sim.rollouts import Candidate, Rollouts
 
         t = self.tracks
-        if cage not in self.solvers:
+        mesh = id(cage.vertices)
+        if mesh not in self.solvers:
             way = np.nanmax(np.ptp(t.points[np.isfinite(t.points).all(2)], axis=0))
             apart = 2.0 * (np.ptp(cage.vertices, axis=0).max() + way)
-            self.solvers[cage] = Rollouts(
+            made = Rollouts(
                 cage.vertices, cage.tets, cage.held, MAX_BODIES, planes=t.planes, gravity=t.gravity, apart=apart
             )
-        rollouts = self.solvers[cage]
+            self.solvers[mesh] = (made, cage.vertices)  # which lives as long, so that its number stays its own
+        rollouts = self.solvers[mesh][0]
+        rollouts.hold(cage.held)
         made = [Candidate(*c) for c in candidates]
         parts = [made[k : k + MAX_BODIES] for k in range(0, len(made), MAX_BODIES)]
         return np.concatenate([rollouts.run(part, t.times, cage.markers, t.release) for part in parts], axis=1)

@@ -53,10 +53,10 @@ class Rollouts:
     ):
         self.count, self.vertices = count, len(vertices)
         surface = boundary_surface(tets)
-        free = SoftBody("candidate", vertices, tets, surface, Material(1e5, 0.3, 1e3))
-        bodies = [replace(free, pinned=held) for _ in range(count)]
+        self._body = SoftBody("candidate", vertices, tets, surface, Material(1e5, 0.3, 1e3))
+        bodies = [replace(self._body, pinned=held) for _ in range(count)]
         self._held = BodyModel.of(bodies[0], [])
-        self._free = BodyModel(free, self._held.shape)
+        self._free = BodyModel(self._body, self._held.shape)
         self._offsets = np.zeros((count, 1, 3))
         if len(planes):
             self._offsets[:, 0] = apart * np.arange(count)[:, None] * level_direction(planes, gravity)
@@ -73,6 +73,10 @@ class Rollouts:
             integrator=integrator,
             substep=substep,
         )
+
+    def hold(self, held: np.ndarray) -> None:
+        """Hold other vertices (H,) from the next run on."""
+        self._held = BodyModel(replace(self._body, pinned=held), self._held.shape)
 
     def run(
         self,

@@ -105,16 +105,17 @@ class MarkerTracks:
             return np.tile(np.eye(3), (len(places), 1, 1))
         return self.metres * self.camera.part(some).slopes(places)
 
-    def is_held(self, x: np.ndarray) -> np.ndarray:
-        """Mask (V,) of the cage's vertices x (V, 3) at rest that stand still: in boxes of each camera that has some."""
+    def is_held(self, x: np.ndarray, start: np.ndarray | None, wider: float = 0.0) -> np.ndarray:
+        """Mask (V,) of a cage's vertices that stand still: in boxes of each camera that has some, `wider` [px] to each
+        side; x, and in pictures `start`: their places (V, 3) at rest and at the first time."""
         if self.held is None:
             return np.zeros(len(x), bool)
         if self.camera is None:
             return ((x >= self.held[0]) & (x <= self.held[1])).all(1)
         found = np.ones(len(x), bool)
         for k in np.unique(self.held[:, 4]).astype(int):
-            u, v, _ = self.camera.cameras[k].projected(self.start)
-            boxes = self.held[self.held[:, 4] == k, :4]
+            u, v, _ = self.camera.cameras[k].projected(start)
+            boxes = self.held[self.held[:, 4] == k, :4] + wider * np.array([-1, -1, 1, 1])
             found &= np.any([(u >= l) & (v >= t) & (u <= r) & (v <= b) for l, t, r, b in boxes], axis=0)
         return found
 

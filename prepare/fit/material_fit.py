@@ -41,11 +41,13 @@ MODES = 2  # whose amplitude and speed at the start are fitted
 NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
 FRICTION_NOT_VISIBLE = 0.25
 STILL = 4.0  # deviations of the noise by which markers must move against each other
-UNEXPLAINED = 0.5  # of the variance of markers against each other: with more left over, it is not the material's doing
+UNEXPLAINED = 0.5  # of the variance of markers against each other: with more left, what presses a thing is not known
 UNLIKE = 0.35  # of how markers move against the thing's own way: what is left unexplained of another thing's motion
 MOST_REFINED = 2_500  # vertices of a cage that is refined to see what its size costs
-REFINED_FACTORS = (0.95, 1.0, 1.07, 1.15, 1.25, 1.4)  # a coarse cage is too stiff, so the thing is stiffer than it says
-CHORD_STEPS = 3
+REFINED_FACTORS = (0.87, 0.93, 1.0, 1.07, 1.15)  # of Young's modulus from where the slowest mode is as fast
+CHORD_STEPS, SMALL_CHORD = 3, 0.01  # steps with the coarse cage's derivatives, and the gain that is worth another
+BORDER, BORDERS = 3.0, 3  # [px] by which a box of what is held is made wider and narrower, so many times
+AS_LIKELY = 1.1  # of the least mean distance: what is left is the models', not noise, and bears no better test
 FAR_OFF = 1e3  # [m]
 OFFSET = 0.5  # [px] by which a point of the surface is usually taken for another, where a clip begins
 
@@ -109,7 +111,7 @@ class MaterialProblem:
         x, tets = np.asarray(vertices, np.float64), np.asarray(tets, np.int64)
         held = np.zeros(0, np.int64)
         if tracks.held is not None:
-            held = np.flatnonzero(tracks.is_held(x))
+            held = np.flatnonzero(tracks.is_held(x, tracks.start))
             if len(held) < 3:
                 raise BadInput(
                     f"{where}: the held box contains {len(held)} vertices of the cage; at least 3 are needed"
@@ -134,6 +136,10 @@ class MaterialProblem:
         }
         of_start = {"centre": 0.0, "spread": 20.0, "low": -200.0, "high": 200.0, "step": 1.0}
         self.prior = Prior(**{n: np.r_[row[: self.main], of_start[n] * each] for n, row in rows.items()})
+
+    def explained(self, error: float, moved: float) -> bool:
+        """Whether what is left [m] of a motion [m] is little enough for it to be the material's doing."""
+        return error <= UNLIKE * moved + 3 * self.noise
 
     def check_motion(self) -> None:
         """Raise BadInput if the markers do not move against each other."""
@@ -316,16 +322,16 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     error = float(np.sqrt(np.nanmean((problem.off(places)[0] ** 2).sum(2))))
     travel = float(np.sqrt(np.nanmean(((tracks.points - np.nanmean(tracks.points, 0)) ** 2).sum(2))))
     moved = max(problem.inner, 0.25 * travel)
-    if error > UNLIKE * moved + 3 * problem.noise:
+    if not problem.explained(error, moved):
         raise BadInput(
             f"{problem.where}: no material moves like this: {1e3 * error:.2g} mm are left of {1e3 * moved:.2g} mm;"
             " are rest, held, planes and the units right?"
         )
     progress("interval", 0.2)
-    shift = keep("cage", lambda: {"shift": cage_shift(problem, fitted)})["shift"]
+    limit = keep("cage", lambda: dict(zip(("shift", "spread"), limit_of(problem, fitted), strict=True)))
     progress("interval", 1.0)
     left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
-    numbers = numbers_of(problem, fitted, shift, mass_known, left)
+    numbers = numbers_of(problem, fitted, limit, mass_known, left)
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
     return MaterialFit(
         material=replace(problem.base, **seen, **({"kinetic_friction": None} if "friction" in seen else {})),
@@ -342,63 +348,90 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     )
 
 
-def cage_shift(problem: MaterialProblem, fitted: Fitted) -> np.ndarray:
-    """How the parameters move (P,) where the cage is so fine that its size does not matter; 0 for a large cage.
+def limit_of(problem: MaterialProblem, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """How the parameters move (P,) where the cage is so fine that its size does not matter, and how far what is held
+    leaves them open to both sides (P,); 0 for a large cage.
 
-    The motion is fitted once more with the cage cut in eight: a scan of E, then steps by the derivatives of the cage as
-    it is. Errors of linear tets fall with the square of their edges, so 4/3 of this shift is that to the limit.
+    The motion is fitted once more with the cage cut in eight, by steps with the derivatives of the cage as it is, from
+    the Young's modulus at which the slowest mode is as fast. Errors of linear tets fall with the square of their edges:
+    a third of what this cut changes is left. A box in a picture does not show exactly where the held part ends: it is
+    made wider and narrower as long as the motion fits almost as well, and what lies between is as likely.
     """
-    cage = problem.cage
+    cage, tracks, theta = problem.cage, problem.tracks, fitted.theta
     if len(cage.vertices) > MOST_REFINED:
-        return np.zeros_like(fitted.theta)
+        return np.zeros_like(theta), np.zeros_like(theta)
     x, tets, W = subdivided(cage.vertices, cage.tets)
-    held = np.flatnonzero(np.asarray((W[:, cage.held] if len(cage.held) else W[:, :0]).sum(1)).ravel() > 0.999)
-    fine = CageOfMarkers(x, tets, held, marker_weights(x, tets, problem.tracks.rest, problem.where))
+    fine = CageOfMarkers(x, tets, cage.held, marker_weights(x, tets, tracks.rest, problem.where))
 
-    def residuals(thetas: np.ndarray) -> np.ndarray:
-        made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, thetas)]
-        return problem.compared(np.moveaxis(problem.roll(fine, made), 1, 0))
+    def stiffness(held: np.ndarray) -> float:
+        return np.log(ElasticShape(x, tets, held, problem.base.poisson, 1).stiffness[0])
 
-    first = fitted.theta[None] + np.log(REFINED_FACTORS)[:, None] * np.eye(len(fitted.theta))[0]
-    losses = np.nanmean(np.abs(residuals(first)), axis=1)
-    theta, least = first[int(losses.argmin())], float(losses.min())
-    for _ in range(CHORD_STEPS):
-        step = fitted.shift(residuals(theta[None])[0])
-        trials = np.clip(theta + np.outer((1.0, 0.5, 0.25), step), problem.prior.low, problem.prior.high)
-        losses = np.nanmean(np.abs(residuals(trials)), axis=1)
-        if not losses.min() < least:
-            break
-        theta, least = trials[int(losses.argmin())], float(losses.min())
-    return (theta - fitted.theta) * 4 / 3
+    def fitted_again(held: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, float]:
+        cage, theta, least = replace(fine, held=held), trials[0], np.inf
+        for _ in range(CHORD_STEPS + 1):
+            made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, trials)]
+            rows = problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0))
+            losses = np.nanmean(np.abs(rows), axis=1)
+            best = int(losses.argmin())
+            if not losses[best] < (1 - SMALL_CHORD) * least:
+                break
+            theta, least = trials[best], float(losses[best])
+            step = np.outer((1.0, 0.4), fitted.shift(rows[best]))
+            trials = np.clip(theta + step, problem.prior.low, problem.prior.high)
+        return theta, least
+
+    same = np.flatnonzero(np.asarray((W[:, cage.held] if len(cage.held) else W[:, :0]).sum(1)).ravel() > 0.999)
+    held, begin = [same], 0
+    if tracks.camera is not None and len(cage.held):
+        begin = BORDERS
+        held = [np.flatnonzero(tracks.is_held(x, W @ problem.x0, BORDER * k)) for k in range(-BORDERS, BORDERS + 1)]
+    slowest, level, first = stiffness(same), np.log(problem.shape.stiffness[0]), np.eye(len(theta))[0]
+    stiff = [stiffness(h) if len(h) >= 3 or begin == 0 else np.nan for h in held]
+    starts = theta + (level - stiff[begin] + np.log(REFINED_FACTORS))[:, None] * first
+    found = {begin: fitted_again(held[begin], starts)}
+    least = found[begin][1]
+    for side in (-1, 1):
+        k = begin + side
+        while 0 <= k < len(held) and np.isfinite(stiff[k]) and found[k - side][1] <= AS_LIKELY * least:
+            found[k] = fitted_again(held[k], found[k - side][0] + (stiff[k - side] - stiff[k]) * first[None])
+            least = min(least, found[k][1])
+            k += side
+    kept = sorted(k for k in found if found[k][1] <= AS_LIKELY * least)
+    ends = [found[k][0] for k in kept]
+    for k, beyond in ((kept[0], kept[0] - 1), (kept[-1], kept[-1] + 1)):
+        if 0 <= beyond < len(held) and np.isfinite(stiff[beyond]):
+            ends.append(found[k][0] + 0.5 * (stiff[k] - stiff[beyond]) * first)
+    low, high = np.min(ends, 0), np.max(ends, 0)
+    return (low + high) / 2 - theta - (slowest - level) / 3 * first, (high - low) / 2
 
 
 def numbers_of(
-    problem: MaterialProblem, fitted: Fitted, shift: np.ndarray, mass_known: bool, left: float
+    problem: MaterialProblem, fitted: Fitted, limit: dict[str, np.ndarray], mass_known: bool, left: float
 ) -> tuple[Number, ...]:
-    """The numbers with their intervals: by the residuals, and half of what the cage's size changes.
+    """The numbers with their intervals: by the residuals, half of what the cage's size changes, and what is held.
 
-    Where `left` [m], what noise does not explain, is most of the markers' motion against each other, neither
-    stiffness nor damping is seen, nor the friction of a thing that deforms, as at impacts; and friction is not known
-    better than to what would move markers so far. Solvers take
-    less inner friction than a material has, down to none: as much of the damping as this may be is in its interval.
+    No number is known better than to what would move markers by `left` [m], which noise does not explain. Where that is
+    much of their motion against each other, neither stiffness nor damping is seen, nor the friction of a thing that
+    deforms, as at impacts. Solvers take less inner friction than a material has, down to none: as much of the damping
+    as this may be is in its interval.
     """
-    half = np.hypot(fitted.half_widths(problem.blocks()), 0.5 * np.abs(shift))
+    shift, spread = limit["shift"], limit["spread"]
+    half = np.sqrt(fitted.half_widths(problem.blocks()) ** 2 + (0.5 * shift) ** 2 + spread**2)
     slowest = problem.shape.stiffness[0] * np.exp(fitted.theta[0]) / problem.base.density  # squared frequency [1/s^2]
     lag = min(1 / RAYLEIGH_FREQUENCY**2, LONGEST_LAG / np.exp(fitted.theta[1]))  # [s^2] of inner friction / damping
     half[1] = np.hypot(half[1], slowest * lag)
-    if problem.rubs:
-        per_unit = problem.noise * np.sqrt(problem.tracks.points.shape[2] * (fitted.jacobian[:, 2] ** 2).mean())  # [m]
-        half[2] = np.hypot(half[2], left / max(per_unit, 1e-9))
-    explained, rigid = left**2 < UNEXPLAINED * problem.inner**2, problem.inner < STILL * problem.noise
+    per_unit = problem.noise * np.sqrt(problem.tracks.points.shape[2] * (fitted.jacobian**2).mean(0))  # [m]
+    half = np.hypot(half, left / np.maximum(per_unit, 1e-9))
+    pressed = left**2 < UNEXPLAINED * problem.inner**2 or problem.inner < STILL * problem.noise
     found = []
     for k, name in enumerate(problem.names):
         middle = float(np.clip(fitted.theta[k] + shift[k], problem.prior.low[k], problem.prior.high[k]))
         ends = [middle, middle - half[k], middle + half[k], float(fitted.theta[k])]
         if name == "friction":
-            seen, ends[1] = bool((explained or rigid) and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
+            seen, ends[1] = bool(pressed and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
         else:
             within = ends[1] > problem.prior.low[k] and ends[2] < problem.prior.high[k]
-            seen = bool(explained and within and half[k] < NOT_VISIBLE)
+            seen = bool(problem.explained(left, problem.inner) and within and half[k] < NOT_VISIBLE)
             ends = np.exp(ends).tolist()
         found.append(Number(name, UNITS[name], *ends, seen))
     if not mass_known:  # gravity and what stands still do not show the mass: only E / rho is seen

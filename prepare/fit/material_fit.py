@@ -421,7 +421,7 @@ def numbers_of(
     lag = min(1 / RAYLEIGH_FREQUENCY**2, LONGEST_LAG / np.exp(fitted.theta[1]))  # [s^2] of inner friction / damping
     half[1] = np.hypot(half[1], slowest * lag)
     per_unit = problem.noise * np.sqrt(problem.tracks.points.shape[2] * (fitted.jacobian**2).mean(0))  # [m]
-    half = np.hypot(half, left / np.maximum(per_unit, 1e-9))
+    half = np.minimum(np.hypot(half, left / np.maximum(per_unit, 1e-9)), 99.0)  # of which exp() is still finite
     pressed = left**2 < UNEXPLAINED * problem.inner**2 or problem.inner < STILL * problem.noise
     found = []
     for k, name in enumerate(problem.names):

@@ -73,7 +73,7 @@ class FittedClip:
         for name, values, most in (("positions", self.positions, AWAY_MAX), ("velocities", self.velocities, SPEED_MAX)):
             if values.shape != (vertices, 3) or not (np.abs(values) <= most).all():  # NaN compares false
                 raise BadInput(f"{where}: the {name} of its clip are not those of {vertices} vertices, or out of range")
-        if self.held.size and not (0 <= self.held.min() and self.held.max() < vertices):
+        if self.held.size and not (self.held.min() >= 0 and self.held.max() < vertices):
             raise BadInput(f"{where}: its clip holds a vertex outside 0..{vertices - 1}")
         lengths = np.linalg.norm(self.planes[:, :3], axis=1)
         if not ((np.abs(lengths - 1) < 1e-3).all() and (np.abs(self.planes[:, 3]) <= AWAY_MAX).all()):

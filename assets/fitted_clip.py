@@ -18,7 +18,7 @@ from core.typed import to_json
 
 SIDE_MAX, PICTURES_MAX = 256, 120  # [px] of a picture, and how many there are
 SECONDS_MAX, AWAY_MAX, SPEED_MAX = 10.0, 100.0, 100.0  # [s], [m] from the origin, [m/s]
-QUALITY = 85  # of the pictures as JPEG: 4 kB for one of 144 x 144 px
+QUALITY = 65  # of the pictures as JPEG: some 2 kB for one of 144 x 144 px
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from scenes.scene import Body, BodyState, Hand, Plane, Role, Scene, Screen
 from scenes.scripted_hands import ease
 
 TOY = "rabbit_fitted"
-ASIDE, AWAY = 0.55, 2.2  # of the screen's height: from the middle to screen and toy, and to the eye
+ASIDE, AWAY = 0.55, 1.9  # of the screen's height: from the middle to screen and toy, and to the eye
 FRAME, FRAME_COLOUR = 2, 40  # [px] around the film, and its grey
 BOARD, BOARD_COLOUR = 24, (150, 120, 85)  # sides [px] of the picture of what a toy slides on
 
@@ -73,7 +73,7 @@ def build(body: str = TOY, material: Annotated[str, "in place of the fitted one"
     middle = clip.positions.mean(0).astype(np.float64)
     screen = screen_of(clip, middle)
     height = float(np.linalg.norm(screen.down))
-    spot = np.array([0.0, TABLE_TOP + ASIDE * height, 0.0])
+    spot = np.array([0.0, TABLE_TOP + 0.7 * height, 0.0])
     angle = 0.5 * np.arctan(ASIDE / AWAY)
     toy_turn, screen_turn = ((float(np.cos(angle)), 0.0, side * float(np.sin(angle)), 0.0) for side in (-1, 1))
     R = matrices_from_quaternions(np.array(toy_turn))

@@ -66,6 +66,7 @@ CLIPS = {
     "cat_hung": FilmedToy("toy_cat", 1.5e4, 6.0, held=0.2, push=(1.6, 0.0, 0.6), turn=-20.0),
     "teddy_hung": FilmedToy("toy_teddy", 8e3, 4.0, held=0.3, push=(0.9, 0.0, 0.3), turn=15.0),
     "penguin_hung": FilmedToy("toy_penguin", 3e4, 3.0, held=0.25, push=(1.8, 0.0, 0.5), turn=-35.0),
+    "toy_rabbit_hung": FilmedToy("toy_rabbit", 4e3, 2.0, held=0.4, push=(1.0, 0.0, 0.4), turn=20.0, seconds=1.2),
     "parcel_sliding": FilmedToy("box_parcel", 4e4, 20.0, friction=0.25, tilt=25.0, turn=0.0, seconds=0.8),
     "cat_thrown": FilmedToy(
         "toy_cat", 1.5e4, 6.0, push=(0.6, 1.5, 0.0), spin=(0.0, 0.0, -1.5), bend=0.015, seconds=0.5

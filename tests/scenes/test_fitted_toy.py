@@ -1,0 +1,115 @@
+"""Fitted toy: it moves as it was fitted, begins again with its clip, and waits where a hand has been at it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from assets.library import find_asset
+from core.errors import BadInput
+from core.material import Material
+from core.rotation import matrices_from_quaternions
+from core.spherical_harmonics import C0
+from display.protocol import Frame
+from display.user_commands import SetMaterial
+from scenes import registry
+from scenes.scene import Hand
+from sim.rollouts import Candidate, Rollouts
+from tests.assets.test_fitted_clip import filmed
+from tests.assets.test_quantisation import embedded
+from tests.support.scripted_play import blind_world, play
+
+DT = 1 / 60
+RUBBER = Material(young=2e6, poisson=0.4, density=1100.0, damping=2.0)
+
+
+@pytest.fixture
+def bar(tmp_path):
+    """A bar of rubber, held at one end, in a clip of 0.4 s; and its scene."""
+    asset = replace(filmed(embedded(n=60, exact=4), frames=8), material=RUBBER)
+    clip = replace(asset.clip, planes=np.zeros((0, 4)))
+    asset = replace(asset, clip=clip.in_front(asset.cage.vertices.astype(float)))
+    asset.save(tmp_path / "bar.h5")
+    return asset, registry.load("fitted_toy", body=str(tmp_path / "bar.h5"))
+
+
+def positions(world) -> np.ndarray:
+    """Of the toy's vertices [m], (V, 3)."""
+    first, end = world.device.solver.vertex_offset[:2]
+    return world.device.solver.snapshot()["x"][first:end].astype(float)
+
+
+def step(world, frames: int, hands=()) -> None:
+    for _ in range(frames):
+        world.step(Frame(DT, world.time + DT, [], list(hands)))
+
+
+def test_it_moves_as_it_was_fitted(bar, ti_cpu):
+    """For 0.3 s within a fiftieth of the way, as `vrgs.py fit` rolls it out, and held where it was."""
+    asset, scene = bar
+    clip, cage, times = asset.clip, asset.cage, np.arange(1, 19) * DT
+    rollouts = Rollouts(cage.vertices.astype(float), cage.tets, clip.held, 1)
+    start = Candidate(RUBBER, clip.positions, clip.velocities)
+    expected = rollouts.run([start], np.r_[0.0, times], lambda x: x)[1:, 0]
+    rollouts.destroy()
+    body, world = scene.bodies[-1], blind_world(scene)
+    R, found = matrices_from_quaternions(np.array(body.rotation)), []
+    for _ in times:
+        step(world, 1)
+        found.append((positions(world) - body.position) @ R)
+    way = np.linalg.norm(expected - clip.positions, axis=2).max()
+    assert way > 0.02
+    assert_allclose(found, expected, atol=way / 50)
+    assert_allclose(np.array(found)[:, clip.held], np.tile(clip.positions[clip.held], (18, 1, 1)), atol=1e-5)
+
+
+def test_the_film_and_the_toy_begin_again_together(bar, ti_cpu):
+    """At the same moment of each round they are the same, of whatever material the toy is now."""
+    asset, scene = bar
+    world = blind_world(scene)
+    screen, pictures = world.device.screens[0], asset.clip.pictures
+    step(world, 5)
+    early = positions(world)
+    for k in range(6, 31):
+        step(world, 1)
+        middle = screen.first + screen.pixels // 2 + 16
+        colour = 255 * (0.5 + C0 * world.device.splats.sh.to_numpy()[middle, 0])
+        shown = pictures[int((k * DT + 1e-6) % asset.clip.period / 0.05)]
+        assert_allclose(colour, shown[12, 16], atol=3)
+    later = positions(world)  # 24 frames are one round of 0.4 s
+    step(world, 23)
+    assert np.abs(later - early).max() > 1e-3 and np.abs(positions(world) - early).max() < 1e-3
+    world.step(Frame(DT, world.time + DT, [SetMaterial(0, "foam")], []))
+    step(world, 20)
+    assert world.material(0)[1] == "foam"
+
+
+def test_it_goes_on_for_a_round_after_a_hand_has_been_at_it(bar, ti_cpu):
+    _, scene = bar
+    world = blind_world(scene)
+    start = positions(world)
+    free = start[np.linalg.norm(start - start[0], axis=1).argmax()]
+    step(world, 3, [Hand(tuple(free), reach=0.1)])
+    step(world, 6, [Hand(tuple(free), grip=True, reach=0.1)])
+    assert world.bodies()[0].held
+    moved = []
+    for _ in range(42):  # to frame 51: rounds end at 24 and 48
+        before = positions(world)
+        step(world, 1)
+        moved.append(np.abs(positions(world) - before).max())
+    jumps = np.array(moved) > 3 * np.median(moved)
+    assert jumps[48 - 10] and not jumps[24 - 12 : 24 - 6].any()
+
+
+def test_an_asset_without_a_clip_is_refused():
+    with pytest.raises(BadInput, match="ball: has no clip"):
+        registry.load("fitted_toy", body="ball")
+
+
+def test_the_shipped_rabbit_is_pulled_and_begins_again(ti_cpu):
+    scene = registry.load("fitted_toy")
+    assert find_asset(scene.bodies[-1].asset).stat().st_size < 3e5
+    world = play(scene)
+    scene.game.verify(world.bodies())
+    assert world.stats()["finite"]

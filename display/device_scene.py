@@ -43,8 +43,8 @@ NO_GAUSSIANS = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0),
 class DeviceScene:
     """Solver, embedding, splats, shadow map and renderer of a scene, with capacity for copies of its bodies.
 
-    The splats hold the `still` static Gaussians, then the screens', the props', and those of the bodies, from `first`
-    on.
+    The splats hold the `still` static Gaussians, at their end the screens', then the props', then those of the bodies,
+    from `first` on.
 
     views      1 (mono) or 2 (stereo)
     depth      let the picture hold depth in place of alpha
@@ -72,14 +72,12 @@ class DeviceScene:
         reserved = [piece for asset in reserve for piece in pieces_of(asset)]
         still = concatenate([g for g, _ in static]) if static else NO_GAUSSIANS
         still = still.select(morton_order(still.means))
-        self.still = len(still)
-        walls = [screen_gaussians(screen) for screen in scene.screens]
-        self.fixed = fixed = len(still) + sum(map(len, walls))  # Gaussians that do not move, whatever their colours
-        self.first = fixed + sum(len(s.gaussians) for s in props)
-        first_caster = fixed + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
+        screens, parts = [screen_gaussians(s) for s in scene.screens], [s.gaussians for s in props]
+        self.still = len(still) + sum(map(len, screens))
+        self.first = self.still + sum(map(len, parts))
+        first_caster = self.still + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
         self.parts = [piece.part for piece in moving]  # how each body of the scene is embedded
-        others = [*walls, *(s.gaussians for s in props), *(piece.part.gaussians for piece in moving)]
-        gaussians = concatenate([still, *others])
+        gaussians = concatenate([still, *screens, *parts, *(piece.part.gaussians for piece in moving)])
         self.splats = Splats(
             gaussians,
             capacity=self.first
@@ -89,10 +87,10 @@ class DeviceScene:
         if props:
             from render.skinned_props import SkinnedProps
 
-            self.props = SkinnedProps(self.splats, props, fixed)
-        starts = len(still) + np.cumsum([0, *map(len, walls)])
-        films = zip(starts.tolist(), scene.screens, strict=False)
-        self.screens = [FilmScreen(self.splats, start, screen) for start, screen in films]
+            self.props = SkinnedProps(self.splats, props, self.still)
+        begins = len(still) + np.cumsum([0, *map(len, screens)])
+        films = zip(begins.tolist(), scene.screens, strict=False)
+        self.screens = [FilmScreen(self.splats, begin, screen) for begin, screen in films]
         self.obstacles = obstacles = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
         self._still_pose: StillPose | None = None
         self.sight = LineOfSight(obstacles)
@@ -126,7 +124,7 @@ class DeviceScene:
             antialias=gaussians.antialias,
             sort=sort or self.trained_sort,
             outputs="deep" if depth else "rgba8",
-            still=len(still),
+            still=len(still),  # those of screens change their colours
         )
 
     @property
@@ -159,8 +157,8 @@ class DeviceScene:
 
     def place_room(self, pose: np.ndarray) -> None:
         """Let all that stands still be at a rigid transform (4, 4) of where it was at the start, colliders too."""
-        if self.fixed and self._still_pose is None:
-            self._still_pose = StillPose(self.splats, self.fixed)
+        if self.still and self._still_pose is None:
+            self._still_pose = StillPose(self.splats, self.still)
         if self._still_pose is not None:
             self._still_pose.place(pose)
         shapes = [placed(shape, pose) for shape in self.obstacles]

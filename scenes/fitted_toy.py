@@ -84,7 +84,7 @@ def build(body: str = TOY, material: Annotated[str, "in place of the fitted one"
     planes = [Plane(tuple(p), tuple(n), made_of.friction) for p, n in zip(feet.tolist(), normals.tolist(), strict=True)]
     boards = [board_under(spot + [ASIDE * height, 0.0, 0.0], p, n, height) for p, n in zip(feet, normals, strict=True)]
     way = clip.camera.position - middle
-    scene = table_scene(
+    return table_scene(
         [toy],
         planes,
         eye=tuple((spot + AWAY * height * way / np.linalg.norm(way)).tolist()),
@@ -93,7 +93,6 @@ def build(body: str = TOY, material: Annotated[str, "in place of the fitted one"
         game=FittedToy(clip.period, float(np.ptp(clip.positions, axis=0).max())),
         roles=(Role("toy", (body,)),),
     )
-    return replace(scene, bodies=[b for b in scene.bodies if b.asset != "bottle"])
 
 
 def screen_of(clip: FittedClip, middle: np.ndarray) -> Screen:

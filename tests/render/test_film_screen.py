@@ -19,7 +19,13 @@ def test_a_screen_takes_the_colours_of_the_picture_of_a_moment(ti_cpu):
     before = some_gaussians(5, 1)
     splats = Splats(concatenate([before, screen_gaussians(screen)]))
     film = FilmScreen(splats, len(before), screen)
-    for moment, picture, changes in ((0.04, 0, False), (0.05, 1, True), (0.19, 1, False), (0.59, 2, True), (0.61, 0, True)):
+    for moment, picture, changes in (
+        (0.04, 0, False),
+        (0.05, 1, True),
+        (0.19, 1, False),
+        (0.59, 2, True),
+        (0.61, 0, True),
+    ):
         assert film.show(moment) is changes
         sh = splats.sh.to_numpy()[: splats.count]
         assert_allclose(0.5 + C0 * sh[5:, 0], pictures[picture].reshape(-1, 3) / 255.0, atol=1e-6)

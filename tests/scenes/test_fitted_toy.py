@@ -1,6 +1,7 @@
 """Fitted toy: it moves as it was fitted, begins again with its clip, and waits where a hand has been at it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from numpy.testing import assert_allclose
 from assets.library import find_asset
 from core.errors import BadInput
 from core.material import Material
-from core.rotation import matrices_from_quaternions
+from core.rotation import matrices_from_quaternions, pose_matrix
 from core.spherical_harmonics import C0
 from display.protocol import Frame
 from display.user_commands import SetMaterial
+from render.splats import StillPose
 from scenes import registry
 from scenes.scene import Hand
 from sim.rollouts import Candidate, Rollouts
@@ -104,6 +106,24 @@ def test_it_goes_on_for_a_round_after_a_hand_has_been_at_it(bar):
         moved.append(np.abs(positions(world) - before).max())
     jumps = np.array(moved) > 3 * np.median(moved)
     assert jumps[48 - 10] and not jumps[24 - 12 : 24 - 6].any()
+
+
+def test_a_toy_of_another_size_and_a_turned_room_take_their_start_with_them(bar, monkeypatch):
+    _, world = bar
+    world.reset()
+    device, (model, *_) = world.device, world.device.solver.body_models
+    own, large = (m.start[[0, 2]].astype(float) for m in (model, model.scaled(2.0)))
+    assert_allclose(large[0] - large[0].mean(0), 2 * (own[0] - own[0].mean(0)), atol=1e-5)
+    assert_allclose(large[1], 2 * own[1], atol=1e-6)
+    turned = pose_matrix((0.1, 0.2, 0.3), matrices_from_quaternions(np.array([0.8, 0.0, 0.6, 0.0])))
+    monkeypatch.setattr(world, "room", SimpleNamespace(moved=True, pose=turned))
+    world.reset()
+    assert_allclose(device.solver.v.to_numpy()[: len(own[1])], own[1] @ turned[:3, :3].T, atol=1e-6)
+    screen = device.screens[0]
+    before = device.splats.mean.to_numpy()[screen.first : screen.first + screen.pixels]
+    StillPose(device.splats, device.still).place(turned)
+    after = device.splats.mean.to_numpy()[screen.first : screen.first + screen.pixels]
+    assert_allclose(after, before @ turned[:3, :3].T + turned[:3, 3], atol=1e-5)
 
 
 def test_an_asset_without_a_clip_is_refused():

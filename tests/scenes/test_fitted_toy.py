@@ -138,3 +138,22 @@ def test_the_shipped_rabbit_is_pulled_and_begins_again(ti_cpu):
     world = play(scene)
     scene.game.verify(world.bodies())
     assert world.stats()["finite"]
+
+
+def test_what_it_slid_on_is_a_board_under_it(tmp_path):
+    """As far from each vertex as in the clip, and in its plane, rubbing as the toy's material alone."""
+    asset = replace(filmed(embedded(n=60, exact=4)), material=RUBBER)
+    asset = replace(asset, clip=asset.clip.in_front(asset.cage.vertices.astype(float)))
+    asset.save(tmp_path / "bar.h5")
+    scene = registry.load("fitted_toy", body=str(tmp_path / "bar.h5"))
+    body, plane, (_, board), clip = scene.bodies[-1], scene.colliders[-1], scene.screens, asset.clip
+    x = clip.positions @ matrices_from_quaternions(np.array(body.rotation)).T + body.position
+    assert_allclose(
+        (x - plane.point) @ plane.normal, clip.positions @ clip.planes[0, :3] - clip.planes[0, 3], atol=1e-6
+    )
+    assert np.sqrt(plane.friction * RUBBER.friction) == pytest.approx(RUBBER.friction)
+    corners = np.array([board.corner, np.add(board.corner, board.right), np.add(board.corner, board.down)])
+    assert_allclose((corners - plane.point) @ plane.normal, 0.0, atol=1e-6)
+    middle = corners[0] + 0.5 * (np.array(board.right) + board.down) - x.mean(0)
+    assert_allclose(np.cross(middle, plane.normal), 0.0, atol=1e-6)
+    assert_allclose(np.dot(board.right, board.down), 0.0, atol=1e-9)

@@ -22,6 +22,7 @@ from scenes.scripted_hands import ease
 
 TOY = "rabbit_fitted"
 ASIDE, AWAY = 0.55, 1.9  # of the screen's height: from the middle to screen and toy, and to the eye
+FARTHEST = 1.9  # [m] of the eye, which stays in the room; it then sees more
 FRAME, FRAME_COLOUR = 2, 40  # [px] around the film, and its grey
 BOARD, BOARD_COLOUR = 24, (150, 120, 85)  # sides [px] of the picture of what a toy slides on
 
@@ -83,12 +84,13 @@ def build(body: str = TOY, material: Annotated[str, "in place of the fitted one"
     feet = normals * (clip.planes[:, 3] + normals @ position)[:, None]
     planes = [Plane(tuple(p), tuple(n), made_of.friction) for p, n in zip(feet.tolist(), normals.tolist(), strict=True)]
     boards = [board_under(spot + [ASIDE * height, 0.0, 0.0], p, n, height) for p, n in zip(feet, normals, strict=True)]
-    way = clip.camera.position - middle
+    way, away = clip.camera.position - middle, min(AWAY * height, FARTHEST)
     return table_scene(
         [toy],
         planes,
-        eye=tuple((spot + AWAY * height * way / np.linalg.norm(way)).tolist()),
+        eye=tuple((spot + away * way / np.linalg.norm(way)).tolist()),
         target=tuple(spot.tolist()),
+        fov_y=float(2 * np.arctan(np.tan(0.5 * Scene.fov_y) * AWAY * height / away)),
         screens=(placed(screen, middle, screen_turn, spot - [ASIDE * height, 0.0, 0.0]), *boards),
         game=FittedToy(clip.period, float(np.ptp(clip.positions, axis=0).max())),
         roles=(Role("toy", (body,)),),

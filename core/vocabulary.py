@@ -47,7 +47,7 @@ class Screen:
     """A flat picture in the world on which a film plays, again and again.
 
     corner       its top left corner [m];   right, down  its sides from there [m]
-    pictures     (F, H, W, 3) uint8, at `times` (F,) [s] from 0 on;   period  after which the film begins again [s]
+    pictures     (F, H, W, 3) uint8, at `times` (F,) [s] from 0 on;   period  [s] of the film, inf: it does not repeat
     """
 
     corner: Vec3

@@ -119,9 +119,9 @@ def placed(screen: Screen, middle: np.ndarray, turn, position: np.ndarray) -> Sc
 
 def board_under(middle: np.ndarray, point: np.ndarray, normal: np.ndarray, side: float) -> Screen:
     """A square board in the plane of a point and a normal (3,), under `middle` (3,)."""
-    right = np.cross(normal, [0.0, 0.0, -1.0]) if abs(normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    right = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     right *= side / np.linalg.norm(right)
     down = np.cross(right, normal)
     corner = middle - (middle - point) @ normal * normal - 0.5 * (right + down)
     pictures = np.tile(np.uint8(BOARD_COLOUR), (1, BOARD, BOARD, 1))
-    return Screen(tuple(corner), tuple(right), tuple(down), pictures, np.zeros(1), 1.0)
+    return Screen(tuple(corner), tuple(right), tuple(down), pictures, np.zeros(1), np.inf)

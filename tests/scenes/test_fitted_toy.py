@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from assets.asset import Asset
 from assets.library import find_asset
 from core.errors import BadInput
 from core.material import Material
@@ -43,9 +44,9 @@ def positions(world) -> np.ndarray:
     return world.device.solver.snapshot()["x"][first:end].astype(float)
 
 
-def step(world, frames: int, hands=()) -> None:
+def step(world, frames: int, hands=(), dt=DT) -> None:
     for _ in range(frames):
-        world.step(Frame(DT, world.time + DT, [], list(hands)))
+        world.step(Frame(dt, world.time + dt, [], list(hands)))
 
 
 def test_it_moves_as_it_was_fitted(bar):
@@ -89,6 +90,31 @@ def test_the_film_and_the_toy_begin_again_together(bar):
     world.step(Frame(DT, world.time + DT, [], [], [SetMaterial(0, "foam")]))
     step(world, 20)
     assert world.material(0)[1] == "foam"
+
+
+def test_a_frame_in_which_a_round_ends_is_shared_with_the_next(bar):
+    _, world = bar
+    world.reset()
+    step(world, 26, dt=1 / 64)  # a round of 0.4 s ends in the last
+    begun = positions(world)
+    world.reset()
+    step(world, 1, dt=26 / 64 - 0.4)
+    assert_allclose(begun, positions(world), atol=1e-5)
+
+
+def test_it_is_left_alone_where_fingers_push_it_and_while_it_is_moved_as_a_whole(bar, monkeypatch):
+    _, world = bar
+    world.reset()
+    start = positions(world)
+    monkeypatch.setattr(world, "touch_forces", lambda: [np.zeros(3), np.ones(3)])
+    step(world, 30)  # a round and a quarter
+    went = positions(world)
+    assert np.abs(went - start).max() > 0.01
+    monkeypatch.undo()
+    world.device.solver.interaction = "transform"
+    step(world, 60)
+    world.device.solver.interaction = "physics"
+    assert_allclose(positions(world), went, atol=1e-6)
 
 
 def test_it_goes_on_for_a_round_after_a_hand_has_been_at_it(bar):
@@ -146,12 +172,19 @@ def test_what_it_slid_on_is_a_board_under_it(tmp_path):
     asset = replace(asset, clip=asset.clip.in_front(asset.cage.vertices.astype(float)))
     asset.save(tmp_path / "bar.h5")
     scene = registry.load("fitted_toy", body=str(tmp_path / "bar.h5"))
-    body, plane, (_, board), clip = scene.bodies[-1], scene.colliders[-1], scene.screens, asset.clip
+    body, plane, (screen, board), clip = scene.bodies[-1], scene.colliders[-1], scene.screens, asset.clip
     x = clip.positions @ matrices_from_quaternions(np.array(body.rotation)).T + body.position
     assert_allclose(
         (x - plane.point) @ plane.normal, clip.positions @ clip.planes[0, :3] - clip.planes[0, 3], atol=1e-6
     )
     assert np.sqrt(plane.friction * RUBBER.friction) == pytest.approx(RUBBER.friction)
+    assert (screen.pictures[:, [0, -1]] == 40).all() and (screen.pictures[:, :, [0, -1]] == 40).all()
+    np.testing.assert_array_equal(
+        screen.pictures[:, 2:-2, 2:-2], Asset.load(tmp_path / "bar.h5").clip.pictures[:, 2:-2, 2:-2]
+    )
+    away = np.linalg.norm(np.subtract(scene.eye, scene.target))
+    assert away == pytest.approx(1.9)  # in the room, where a screen of more than a metre is seen by a wider lens
+    assert away * np.tan(scene.fov_y / 2) == pytest.approx(1.9 * np.tan(0.45) * np.linalg.norm(screen.down))
     corners = np.array([board.corner, np.add(board.corner, board.right), np.add(board.corner, board.down)])
     assert_allclose((corners - plane.point) @ plane.normal, 0.0, atol=1e-6)
     middle = corners[0] + 0.5 * (np.array(board.right) + board.down) - x.mean(0)

@@ -44,8 +44,9 @@ class FilmScreen:
         self.colours.from_numpy(screen.pictures.reshape(-1, self.pixels, 3))
 
     def show(self, time: float) -> bool:
-        """Show the picture of a moment [s] since the film began, which begins again; returns whether it is another."""
-        picture = int(np.searchsorted(self.screen.times, time % self.screen.period, side="right")) - 1
+        """Show the picture nearest to a moment [s] since the film began; returns whether it is another."""
+        times = self.screen.times
+        picture = int(np.searchsorted(0.5 * (times[1:] + times[:-1]), time % self.screen.period))
         changes, self.shown = picture != self.shown, picture
         if changes:
             self._colour(picture)

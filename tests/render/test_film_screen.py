@@ -11,7 +11,7 @@ from render.splats import Splats
 from tests.support.samples import some_gaussians
 
 
-def test_a_screen_takes_the_colours_of_the_picture_of_a_moment(ti_cpu):
+def test_a_screen_takes_the_colours_of_the_nearest_picture(ti_cpu):
     """Also when the film has begun again; other Gaussians keep theirs."""
     rng, times = np.random.default_rng(0), np.array([0.0, 0.05, 0.2])
     pictures = rng.integers(0, 256, (3, 4, 6, 3)).astype(np.uint8)
@@ -20,9 +20,9 @@ def test_a_screen_takes_the_colours_of_the_picture_of_a_moment(ti_cpu):
     splats = Splats(concatenate([before, screen_gaussians(screen)]))
     film = FilmScreen(splats, len(before), screen)
     for moment, picture, changes in (
-        (0.04, 0, False),
-        (0.05, 1, True),
-        (0.19, 1, False),
+        (0.02, 0, False),
+        (0.03, 1, True),
+        (0.12, 1, False),
         (0.59, 2, True),
         (0.61, 0, True),
     ):

@@ -12,6 +12,7 @@ import numpy as np
 from assets.animation import Animation, read_animation, write_animation
 from assets.environment import Environment, read_environment, write_environment
 from assets.file_access import atomic_write
+from assets.fitted_clip import FittedClip, read_clip_group, write_clip
 from assets.gaussians import ROWS, Gaussians, usable_view
 from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
 from assets.quantisation import (
@@ -116,6 +117,7 @@ class Asset:
     provenance       any JSON object
     environment      a static scene to play in
     animation        a motion of the body's own
+    clip             the film that the material was fitted to
     """
 
     gaussians: Gaussians
@@ -126,6 +128,7 @@ class Asset:
     provenance: dict = field(default_factory=dict)
     environment: Environment | None = None
     animation: Animation | None = None
+    clip: FittedClip | None = None
 
     @property
     def grids(self) -> list[DistanceGrid]:
@@ -136,7 +139,8 @@ class Asset:
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, unless all that the asset holds is sound and agrees."""
         self.gaussians.check(where)
-        for name, value in (("an embedding", self.embedding), ("an animation", self.animation)):
+        needs_cage = {"an embedding": self.embedding, "an animation": self.animation, "a clip": self.clip}
+        for name, value in needs_cage.items():
             if value is not None and self.cage is None:
                 raise BadInput(f"{where}: has {name} but no cage")
         if self.cage is not None:
@@ -149,6 +153,8 @@ class Asset:
             self.material.check(where)
         if self.animation is not None:
             self.animation.check(len(self.cage.vertices), where)
+        if self.clip is not None:
+            self.clip.check(len(self.cage.vertices), where)
 
     def transformed(self, rotation: np.ndarray, factor: float = 1.0) -> Asset:
         """The asset turned by `rotation` (3, 3) and made `factor` times as large, without being prepared again.
@@ -188,7 +194,8 @@ class Asset:
         provenance = self.provenance | {"reoriented": [*self.provenance.get("reoriented", []), last]}
         if "size" in provenance:
             provenance["size"] = float(provenance["size"]) * factor
-        return replace(self, gaussians=g, cage=cage, sdf=grid, environment=environment, provenance=provenance)
+        made = replace(self, gaussians=g, cage=cage, sdf=grid, environment=environment, provenance=provenance)
+        return made if factor == 1.0 else replace(made, clip=None)  # of another size it moves otherwise
 
     @classmethod
     def load(cls, path: str | Path) -> Asset:
@@ -225,6 +232,7 @@ class Asset:
                 file.json("", "provenance", dict[str, Any]),
                 read_environment(file) if file.has("stage") else None,
                 read_animation(file) if file.has("animation") else None,
+                read_clip_group(file) if file.has("clip") else None,
             )
         asset.check(str(path))
         return asset
@@ -273,6 +281,8 @@ class Asset:
                         attributes[name] = float(value)
             if self.animation is not None:
                 write_animation(file, self.animation)
+            if self.clip is not None:
+                write_clip(file, self.clip)
 
 
 def is_quantised(path: str | Path) -> bool:
@@ -345,7 +355,8 @@ def split_components(asset: Asset) -> list[Asset]:
             vertex_index[cage.surface[component[cage.surface[:, 0]] == k]].astype(np.int32),
         )
         hosts = CageEmbedding(tet_index[host].astype(np.int32), weights)
-        found.append(replace(asset, gaussians=asset.gaussians.select(mine), cage=own, embedding=hosts, sdf=None))
+        parts = {"gaussians": asset.gaussians.select(mine), "cage": own, "embedding": hosts}
+        found.append(replace(asset, **parts, sdf=None, clip=None))
     return found
 
 

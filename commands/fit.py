@@ -28,16 +28,19 @@ from prepare.segment.marks import read_marks, read_points
 from prepare.train.photographs import image_size
 
 if TYPE_CHECKING:
+    from assets.fitted_clip import FittedClip
     from display.drawn_body import DrawnBody
     from prepare.fit.clip_masks import Clip
     from prepare.fit.clip_tracks import Shot
     from prepare.fit.marker_tracks import MarkerTracks
+    from prepare.fit.material_fit import CageOfMarkers
     from prepare.fit.register import CapturedPlace, FoundCamera
     from prepare.train.capture import View
 
 GRAVITY = np.array([0.0, -9.81, 0.0])  # [m/s^2] of the world that a clip's camera stands in
 CLIP_STEPS = ("masks", "camera", "shake", "pose", "tracks")  # of the progress, before those of a fit
 STILLS = 24  # pictures of a clip whose median shows what stands still
+KEPT_SIDE = 144  # [px] of the pictures that are kept in the asset
 MARKED = 4  # pictures of a clip that are shown to be marked
 VIDEO_ONLY = ("--camera", "--capture", "--marks", "--part", "--fps", "--plane", "--release", "--preview")
 CAMERA, Angle = cli.OneOf(), Annotated[float, cli.within(1, 170, "an angle of 1 to 170 degrees")]
@@ -138,7 +141,8 @@ def fit(options: FitOptions) -> None:
     simulator = Simulator(tracks)
     problem = MaterialProblem(tracks, asset.cage.vertices, asset.cage.tets, material, simulator.roll, str(source))
     found = fit_material(problem, progress, kept.step, mass_known=options.density is not None)
-    replace(asset, material=found.material).save(options.out)
+    clip = None if filmed is None else filmed.fitted_clip(problem.cage, found.played[0])
+    replace(asset, material=found.material, clip=clip).save(options.out)
     if options.report:
         more = []
         if filmed is not None:
@@ -350,6 +354,23 @@ class FilmedThing:
             pictures |= {f"{Path(shot.clip.where).name}: the asset as it was found at the start": found}
         note = f"Outlined: the mask. Dots: points of the surface that are followed. {'. '.join(self.shakes)}."
         return [Section("Where it is", pictures=pictures, note=note)]
+
+    def fitted_clip(self, cage: CageOfMarkers, played: tuple) -> FittedClip | None:
+        """The first clip about the thing until it is let go of, and how the thing sets off: of a candidate `played`."""
+        from assets.fitted_clip import PICTURES_MAX, SECONDS_MAX, FittedClip
+        from prepare.fit.clip_tracks import crop_of
+
+        shot, (_, x, v) = self.shots[0], played
+        times = shot.clip.times[shot.clip.times < min(self.tracks.release, SECONDS_MAX)]
+        if len(times) < 2:
+            return None
+        near, matrix = crop_of(shot.camera, shot.masks.any(0), KEPT_SIDE)
+        rows = np.arange(0, len(times), -(-len(times) // PICTURES_MAX))
+        smooth = max(0.5 / matrix[0, 0] - 0.5, 0.01)  # [px]: what a smaller picture cannot show would flicker in it
+        size, edge = (KEPT_SIDE, KEPT_SIDE), cv2.BORDER_REPLICATE
+        pictures = [cv2.GaussianBlur(shot.clip.pictures[k], (0, 0), smooth) for k in rows]
+        pictures = np.stack([cv2.warpAffine(p, matrix, size, borderMode=edge) for p in pictures])
+        return FittedClip(pictures, times[rows], near, cage.held, x, v, self.tracks.planes).in_front(cage.vertices)
 
     def films(self, motion: np.ndarray) -> Section:
         """The first clip beside what was fitted, and with E halved and doubled; motion (F, 3, V, 3) of these."""

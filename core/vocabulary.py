@@ -25,7 +25,8 @@ class Body:
     is static and its signed distance grid collides. `velocity` [m/s] is the initial one. `kind` is "soft", "rigid", or
     "kinematic": rigid, and moved by nothing but the program. What of a soft body lies below `fixed_below` [m] in the
     asset's frame stays where it is. A body that starts `asleep` is not simulated until something reaches it. The
-    colours of a `captured` one hold the shadows on it at the start: they are not drawn a second time.
+    colours of a `captured` one hold the shadows on it at the start: they are not drawn a second time. A `filmed` one is
+    held and sets off as in the clip that its asset was fitted to, and begins again with the film on a screen.
     """
 
     asset: str
@@ -38,6 +39,23 @@ class Body:
     fixed_below: float | None = None
     asleep: bool = False
     captured: bool = False
+    filmed: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """A flat picture in the world on which a film plays, again and again.
+
+    corner       its top left corner [m];   right, down  its sides from there [m]
+    pictures     (F, H, W, 3) uint8, at `times` (F,) [s] from 0 on;   period  [s] of the film, inf: it does not repeat
+    """
+
+    corner: Vec3
+    right: Vec3
+    down: Vec3
+    pictures: np.ndarray
+    times: np.ndarray
+    period: float
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from core.morton import morton_order
 from core.vocabulary import Light
 from display.scene_bodies import load_bodies, pieces_of
 from render import MOVING_SORT
+from render.film_screen import FilmScreen, screen_gaussians
 from render.renderer import Renderer
 from render.shadow_map import ShadowMap
 from render.splats import Splats, StillPose
@@ -42,7 +43,8 @@ NO_GAUSSIANS = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0),
 class DeviceScene:
     """Solver, embedding, splats, shadow map and renderer of a scene, with capacity for copies of its bodies.
 
-    The splats hold the `still` static Gaussians, then the props', then those of the bodies, from `first` on.
+    The splats hold the `still` static Gaussians, at their end the screens', then the props', then those of the bodies,
+    from `first` on.
 
     views      1 (mono) or 2 (stereo)
     depth      let the picture hold depth in place of alpha
@@ -70,11 +72,12 @@ class DeviceScene:
         reserved = [piece for asset in reserve for piece in pieces_of(asset)]
         still = concatenate([g for g, _ in static]) if static else NO_GAUSSIANS
         still = still.select(morton_order(still.means))
-        self.still = len(still)
-        self.first = len(still) + sum(len(s.gaussians) for s in props)
-        first_caster = len(still) + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
+        screens, parts = [screen_gaussians(s) for s in scene.screens], [s.gaussians for s in props]
+        self.still = len(still) + sum(map(len, screens))
+        self.first = self.still + sum(map(len, parts))
+        first_caster = self.still + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
         self.parts = [piece.part for piece in moving]  # how each body of the scene is embedded
-        gaussians = concatenate([still, *(s.gaussians for s in props), *(piece.part.gaussians for piece in moving)])
+        gaussians = concatenate([still, *screens, *parts, *(piece.part.gaussians for piece in moving)])
         self.splats = Splats(
             gaussians,
             capacity=self.first
@@ -84,7 +87,10 @@ class DeviceScene:
         if props:
             from render.skinned_props import SkinnedProps
 
-            self.props = SkinnedProps(self.splats, props, len(still))
+            self.props = SkinnedProps(self.splats, props, self.still)
+        begins = len(still) + np.cumsum([0, *map(len, screens)])
+        films = zip(begins.tolist(), scene.screens, strict=False)
+        self.screens = [FilmScreen(self.splats, begin, screen) for begin, screen in films]
         self.obstacles = obstacles = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
         self._still_pose: StillPose | None = None
         self.sight = LineOfSight(obstacles)
@@ -118,7 +124,7 @@ class DeviceScene:
             antialias=gaussians.antialias,
             sort=sort or self.trained_sort,
             outputs="deep" if depth else "rgba8",
-            still=len(still),
+            still=len(still),  # those of screens change their colours
         )
 
     @property
@@ -144,6 +150,10 @@ class DeviceScene:
     def place_props(self, poses: np.ndarray) -> bool:
         """Move the props; returns whether any has moved."""
         return self.props is not None and self.props.place(poses, self.light)
+
+    def show_films(self, time: float) -> bool:
+        """Show on all screens the pictures of a moment [s]; returns whether one has changed."""
+        return any([screen.show(time) for screen in self.screens])
 
     def place_room(self, pose: np.ndarray) -> None:
         """Let all that stands still be at a rigid transform (4, 4) of where it was at the start, colliders too."""

@@ -91,6 +91,11 @@ def place_soft(asset: Asset, body: Body) -> Piece:
         sdf = DistanceGrid(np.asarray(d.values, np.float32) * s, np.asarray(d.origin) * s, float(d.spacing) * s)
     driven = None if asset.animation is None else asset.animation.vertices[asset.animation.driven]
     fixed = None if body.fixed_below is None else np.flatnonzero(asset.cage.vertices[:, 1] < body.fixed_below)
+    motion = None
+    if body.filmed:
+        if asset.clip is None:
+            raise BadInput(f"{body.asset}: has no clip (vrgs.py fit ASSET VIDEO keeps it)")
+        fixed, motion = asset.clip.held, s * np.stack([asset.clip.positions, asset.clip.velocities])
     soft = SoftBody(
         name=body.asset,
         vertices=vertices,
@@ -101,6 +106,7 @@ def place_soft(asset: Asset, body: Body) -> Piece:
         position=body.position,
         velocity=body.velocity,
         sdf=sdf,
+        motion=motion,
         pinned=fixed if driven is None else driven,
         self_contact=True if driven is None else "parts",
         asleep=body.asleep,

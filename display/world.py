@@ -91,6 +91,9 @@ class World(WorldView):
         self._drawn: tuple | None = None  # cameras of the picture; None if it is outdated
         self._commanding = self._deform_due = False  # while commands are carried out, before bodies are deformed anyway
         self._shadow_is_old = False  # what moved was not cast, which is made up for in the next frame
+        filmed = any(body.filmed for body in scene.bodies)
+        self._period = min((s.period for s in scene.screens if filmed), default=np.inf)  # [s] of what was filmed
+        self._round, self._touched = 0, False  # how often the film has ended, and whether a hand was at a body since
         self.refresh()
 
     def warm_up(self) -> None:
@@ -118,6 +121,8 @@ class World(WorldView):
         simulates = not self.paused or cmd.last_of(cmd.SingleStep, frame.commands) is not None
         deforms = self._deform_due or (simulates and self.moving)
         launched = self._launch(frame) if simulates else None
+        if self.device.show_films(self.time):
+            self._drawn = None
         props_moved = self._place_props(frame.prop_poses)
         if deforms:
             self._deform(moving=not self._deform_due)
@@ -184,6 +189,8 @@ class World(WorldView):
         if not self.demo:
             self.editor.after_step(launched.before, self._bodies, bodies)
         self._bodies = bodies
+        if self._period < np.inf:
+            self._touched |= any(b.held for b in bodies) or np.any(self.touch_forces())
         if self.scene.game is not None:
             self.scene.game.update(self.time, self.registry.scene_states(bodies))
 
@@ -194,14 +201,29 @@ class World(WorldView):
             for dt, hands in frame_steps(passed, frame.max_step, self._hands, frame.hands):
                 self.registry.step(dt, hands)
             self.time += passed
+            self._begin_again(frame.hands)
             return
         self.backlog += passed
         while self.backlog >= script_dt and self.demo:
             self.backlog -= script_dt
             self.time += script_dt
             self.registry.step(script_dt, self.scripted_hands(self.time))
+            self._begin_again(self._script)
             if self.scene.game is None or self.time >= self.scene.game.duration:
                 self._end_demo()
+
+    def _begin_again(self, hands: Sequence[Hand]) -> None:
+        """Let filmed bodies begin again with their film, of the materials that they are of now.
+
+        After a round of the film in which a hand was at one they go on for another, so that what it did can be seen.
+        """
+        now = int(self.time // self._period)
+        if now != self._round:
+            if not self._touched and self.interaction == "physics":
+                self.device.solver.reset()
+                self._follow_room()
+                self.registry.step(self.time - now * self._period, hands)
+            self._round, self._touched = now, False
 
     def _deform(self, *, moving: bool = False) -> None:
         self._deform_due = False
@@ -287,13 +309,18 @@ class World(WorldView):
         if self.registry.changed:
             self.editor.selected = None
         self.registry.reset()
-        if self.room.moved:  # the start is a place in the room
-            for k in range(len(self.registry.members)):
-                self.registry.displace(k, self.room.pose, rest=True)
+        self._follow_room()
         self.time = self.backlog = 0.0
+        self._round, self._touched = 0, False
         if self.scene.game is not None:
             self.scene.game.reset()
         self.refresh()
+
+    def _follow_room(self) -> None:
+        """Move bodies that are at their start with the room: the start is a place in it."""
+        if self.room.moved:
+            for k in range(len(self.registry.members)):
+                self.registry.displace(k, self.room.pose)
 
     def refresh(self) -> None:
         """Read the bodies again after an edit; the next picture shows them."""
@@ -345,6 +372,7 @@ class World(WorldView):
         self.registry.restore(snapshot.bodies)
         self.room.place(snapshot.room)
         self.time, self.backlog = snapshot.time, snapshot.backlog
+        self._round, self._touched = int(self.time // self._period), True  # it goes on as it was
         if self.scene.game is not None:
             vars(self.scene.game).update(deepcopy(snapshot.game))
         self.refresh()

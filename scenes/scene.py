@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 # Scene files take all their words from here.
-from core.vocabulary import IDENTITY, Body, BodyState, Box, Capsule, Hand, Light, Plane, Quat, Touch, Vec3  # noqa: F401
+from core.vocabulary import IDENTITY, Body, BodyState, Box, Capsule, Hand, Light, Plane, Quat, Screen, Touch, Vec3  # noqa: F401
 
 
 class Game(Protocol):
@@ -94,4 +94,5 @@ class Scene:
     floor: float = 0.0  # [m] on which the player stands
     roles: tuple[Role, ...] = ()  # that bodies of the user may play
     room: Room | None = None  # that a room of the user may replace
+    screens: tuple[Screen, ...] = ()
     cast: tuple[tuple[str, str], ...] = ()  # what the user has brought, and what it is: ("cat.h5", "toy 3")

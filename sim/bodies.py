@@ -78,6 +78,7 @@ class SoftBody(MeshBody):
 
     rotation, position, velocity   x = R(rotation) rest + position, all vertices at `velocity` [m/s]
     sdf       signed distance of the rest shape in the body frame [m], or None
+    motion    positions [m] and velocities [m/s] at the start, in place of `vertices` and 0, (2, V, 3), or None
     pinned    indices of vertices that do not move (inverse mass 0), or None
     asleep    starts asleep: nothing moves it until something reaches it
     self_contact   "parts": only disconnected parts of its cage meet, as legs and a skirt. Where a limb meets the trunk,
@@ -89,6 +90,7 @@ class SoftBody(MeshBody):
     position: Vec3 = (0.0, 0.0, 0.0)
     velocity: Vec3 = (0.0, 0.0, 0.0)
     sdf: DistanceGrid | None = None
+    motion: np.ndarray | None = None
     pinned: np.ndarray | None = None
     self_contact: bool | str = True
     asleep: bool = False
@@ -99,9 +101,15 @@ class SoftBody(MeshBody):
         material.check(self.name)
         return replace(self, material=material)
 
+    def start(self) -> np.ndarray:
+        if self.motion is None:
+            return super().start()
+        return replace(self, vertices=self.motion[0], motion=None).start()
+
     def start_velocities(self) -> np.ndarray:
         """Initial velocities [m/s], (V, 3) float64."""
-        return np.tile(np.asarray(self.velocity, np.float64), (len(self.vertices), 1))
+        own = np.zeros((len(self.vertices), 3)) if self.motion is None else self.motion[1]
+        return own @ matrices_from_quaternions(self.rotation).T + np.asarray(self.velocity, np.float64)
 
 
 @dataclass(frozen=True)

@@ -260,6 +260,8 @@ class BodyModel:
         shape = self.shape.scaled(factor)
         old = np.average(self.body.start(), axis=0, weights=self.mass)
         body = replace(self.body, vertices=shape.vertices, sdf=shape.sdf)
+        if not body.rigid and body.motion is not None:
+            body = replace(body, motion=factor * body.motion)
         shift = old - np.average(body.start(), axis=0, weights=self.mass)
         return BodyModel(replace(body, position=tuple((np.asarray(body.position) + shift).tolist())), shape)
 

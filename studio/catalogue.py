@@ -47,6 +47,8 @@ MODELS: dict[str, tuple] = {
     "toy_whale": ("studio.creatures.creature_asset:creature", "toy_sea_and_sky:toy_whale", 7_500, 200),
     "toy_star": ("studio.creatures.creature_asset:creature", "toy_sea_and_sky:toy_star", 7_500, 200),
     "toy_ladybird": ("studio.creatures.creature_asset:creature", "toy_sea_and_sky:toy_ladybird", 7_500, 250),
+    # fitted toy
+    "rabbit_fitted": ("studio.fitted_rabbit:fitted_rabbit", "toy_rabbit_hung"),
     # animals
     "fox": ("studio.creatures.creature_asset:creature", "fox:fox", 22_000, 560),
     "bear": ("studio.creatures.creature_asset:creature", "bear:bear", 22_000, 500),

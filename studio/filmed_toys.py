@@ -70,6 +70,7 @@ class FilmedToy:
 CLIPS = {
     "rabbit_hung": FilmedToy("rabbit", 5e3, 3.0, held=0.25, push=(0.5, 0.0, 0.25), turn=25.0),
     "rabbit_by_hand": FilmedToy("rabbit", 5e3, 3.0, held=0.25, push=(0.5, 0.0, 0.25), turn=25.0, shake=6.0),
+    "toy_rabbit_hung": FilmedToy("toy_rabbit", 4e3, 2.0, held=0.4, push=(1.0, 0.0, 0.4), turn=20.0, seconds=1.2),
     "cat_hung": FilmedToy("toy_cat", 1.5e4, 6.0, held=0.2, push=(1.6, 0.0, 0.6), turn=-20.0),
     "teddy_hung": FilmedToy("toy_teddy", 8e3, 4.0, held=0.3, push=(0.9, 0.0, 0.3), turn=15.0),
     "penguin_hung": FilmedToy("toy_penguin", 3e4, 3.0, held=0.25, push=(1.8, 0.0, 0.5), turn=-35.0),

@@ -28,10 +28,10 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_895, "assets": 5_040, "scenes": 2_220, "sim": 10_945, "render": 3_505, "prepare": 15_493,
-    "display": 13_824, "commands": 4_634, "bench": 3_440, "installer": 200, "tests": 36_785,
+    "core": 2_907, "assets": 5_162, "scenes": 2_344, "sim": 10_952, "render": 3_560, "prepare": 15_493,
+    "display": 13_868, "commands": 4_655, "bench": 3_440, "installer": 200, "tests": 37_155,
 }  # fmt: skip
-MOST_FILES = 310  # of the product
+MOST_FILES = 313  # of the product
 
 
 def product_files() -> list[Path]:

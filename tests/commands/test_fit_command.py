@@ -2,20 +2,25 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from assets.asset import Asset, Cage
 from assets.camera_file import write_cameras
 from assets.file_access import write_json
+from commands.fit import FilmedThing
 from commands.marking import state_of
 from commands.parser import parse
+from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import boundary_surface
 from core.typed import to_plain
-from prepare.fit.clip_masks import straightened
+from prepare.fit.clip_masks import Clip, straightened
+from prepare.fit.clip_tracks import Shot
 from prepare.fit.register import FoundCamera
 from prepare.segment.marks import read_points
 from prepare.train.capture_files import read_camera_views
@@ -256,3 +261,27 @@ def test_a_film_in_which_nothing_moves_is_refused(filmed, tmp_path, monkeypatch)
     words = VIDEO.format(f=filmed, t=tmp_path).replace(f"{filmed}/clip", f"{tmp_path}/clip")
     with pytest.raises(BadInput, match="nothing deforms: markers move by"):
         run(words.replace(f"{filmed}/marks", f"{tmp_path}/marks"))
+
+
+@pytest.mark.parametrize(("release", "kept"), [(np.inf, 100), (0.5, 50)])
+def test_the_clip_that_is_kept_shows_each_vertex_where_it_is(release, kept):
+    """Spots at three vertices, in 200 pictures a hundredth of a second apart, of which every second one is kept."""
+    x = np.random.default_rng(0).uniform(-0.1, 0.1, (9, 3)) + [0.5, 1.0, 0.0]
+    camera = perspective(320, 240, 0.8, look_at((1.2, 1.2, 0.4), (0.5, 1.0, 0.0)))
+    pictures, masks = np.zeros((200, 240, 320, 3), np.uint8), np.zeros((200, 240, 320), bool)
+    u, v, _ = (a.astype(int) for a in camera.projected(x))
+    masks[:, v.min() : v.max(), u.min() : u.max()] = True
+    for k in range(3):
+        pictures[:, v[k] - 1 : v[k] + 2, u[k] - 1 : u[k] + 2, k] = 255
+    clip = Clip(pictures, np.arange(200) / 100, 0, "clip.mp4")
+    shot = Shot(clip, masks, camera, np.zeros((0, 4)))
+    thing = SimpleNamespace(shots=[shot], tracks=SimpleNamespace(release=release, planes=np.zeros((0, 4))))
+    cage = SimpleNamespace(vertices=x - 1.0, held=np.arange(2))
+    found = FilmedThing.fitted_clip(thing, cage, (None, x, 0 * x))
+    found.check(9, "clip")
+    assert len(found.times) == kept and found.times[-1] < release
+    rows, columns = np.indices(found.pictures.shape[1:3]) + 0.5
+    for k in range(3):
+        spot = found.pictures[0, ..., k].astype(float)
+        seen = np.array([(columns * spot).sum(), (rows * spot).sum()]) / spot.sum()
+        assert_allclose(seen, np.ravel(found.camera.projected(found.positions[k : k + 1])[:2]), atol=0.7)

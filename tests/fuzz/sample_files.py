@@ -16,6 +16,7 @@ from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Setti
 from display.record.recording import Recording
 from display.user_commands import Duplicate, Pause, Rescale, Rotate, SetInteraction, SetLight, SetMaterial, Undo
 from sim.hands.grasp import Grasp, GraspState
+from tests.assets.test_fitted_clip import filmed
 from tests.assets.test_quantisation import embedded
 from tests.display.test_recording import Ball, some_frames
 from tests.support.samples import some_gaussians
@@ -28,8 +29,8 @@ def sphere_grid(nodes: int, spacing: float) -> DistanceGrid:
 
 
 def moving_body() -> Asset:
-    """A bar with a cage, an embedding, a grid, a material and a motion of two joints."""
-    asset = embedded(n=60, exact=4)
+    """A bar with a cage, an embedding, a grid, a material, a clip and a motion of two joints."""
+    asset = filmed(embedded(n=60, exact=4))
     surface = np.unique(asset.cage.surface).astype(np.int32)
     count, frames = len(surface), 5
     angle = np.linspace(0, 1, frames)

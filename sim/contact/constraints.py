@@ -20,7 +20,9 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.contact.response import (
+    GENTLE_GROWTH,
     UNBOUNDED,
+    begins_inside,
     fingertip_spring,
     holding_impulse,
     isotropic_contact_impulse,
@@ -35,6 +37,7 @@ MAX_VERTICES = 7  # of a constraint: a triangle's and a tet's
 SETTLED = 1e-3  # relative change of an impulse in a pass, after which no further pass is needed
 FORCE_STEP = 1e-6  # [N] of the integer sums of forces, which do not depend on the order of summation
 NOT_CHECKED, NO_DISTANCE, VALID = range(3)  # `status` of a constraint
+GENTLE = 2  # `active` of a constraint that began inside, until it is out
 
 
 @ti.data_oriented
@@ -125,7 +128,8 @@ class ContactConstraints:
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
         """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to."""
-        loaded = usable and self.impulse[r].norm_sqr() > 0.0
+        gentle = usable and self.is_gentle(r)
+        loaded = gentle or (usable and self.impulse[r].norm_sqr() > 0.0)
         if usable and not loaded:
             y_n = self.normal[r].dot(self.relative_motion(r, 0, integrator))
             loaded = y_n < min_normal_motion(self.phi[r], self.state.dt[None])
@@ -145,15 +149,21 @@ class ContactConstraints:
                     ti.atomic_add(integrator.whole.split_count[a], 1)
                 if b != a:
                     ti.atomic_add(integrator.whole.split_count[b], 1)
-        self.set_active(r, usable, loaded)
+        self.set_active(r, usable, loaded, gentle)
 
     @ti.func
-    def set_active(self, r, usable, loaded):
+    def is_gentle(self, r):
+        """Return whether row r began inside and is not yet out."""
+        pushed = self.impulse[r].norm_sqr() > 0.0
+        return begins_inside(self.phi[r], self.active[r] == GENTLE, pushed, self.closing_speed[r], self.state.dt[None])
+
+    @ti.func
+    def set_active(self, r, usable, loaded, gentle):
         """Activate row r in this sweep if it is loaded, beginning with its impulse of the last substep.
 
         Otherwise clear that impulse and, if the row has a distance (`usable`), skip it until that may be used up.
         """
-        self.active[r] = ti.cast(loaded, ti.i32)
+        self.active[r] = GENTLE if gentle else ti.cast(loaded, ti.i32)
         if loaded:
             self.add_impulse(r, self.impulse[r], 0)
         else:
@@ -191,13 +201,19 @@ class ContactConstraints:
                     inv_mass += count * self.rigid_bodies.inverse_effective_mass(b, arm, n)
                     inv_mass_t += count * self.rigid_bodies.inverse_effective_mass(b, arm, along)
             if inv_mass > 0.0:
-                least, compliance, damping, most = min_normal_motion(self.phi[r], dt), 0.0, 1.0, UNBOUNDED
+                gentle, compliance, damping, most = self.active[r] == GENTLE, 0.0, 1.0, UNBOUNDED
+                least = min_normal_motion(self.phi[r], dt, gentle)
+                if gentle:
+                    least = ti.min(least, ti.max(n.dot(y) + GENTLE_GROWTH * dt**3, 0.0))
                 if ti.static(self.fingers):  # noqa: SIM102
                     if r >= self.first_finger:
                         least, compliance, damping = fingertip_spring(self.phi[r], dt)
                         most = self.max_force[r - self.first_finger] * dt * dt
                 held = holding_impulse(old, n, y, least, inv_mass, inv_mass_t, compliance, damping, most)
-                new = isotropic_contact_impulse(held, n, inv_mass_t, self.friction[r], dt)
+                friction = self.friction[r]
+                if gentle:
+                    friction *= 0.0
+                new = isotropic_contact_impulse(held, n, inv_mass_t, friction, dt)
                 self.impulse[r] = new
                 self.add_impulse(r, new - old, j)
                 if ti.static(self.coupled):  # noqa: SIM102
@@ -330,6 +346,7 @@ class ContactConstraints:
         self.candidate_count[None], self.listed_count[None] = 0, 0
         for r in self.impulse:
             self.clear_impulse(r)
+            self.active[r] = 0
         for i in self.split_count:
             self.split_count[i] = 0
             self.last_correction[i] = ti.Vector([0.0, 0.0, 0.0])

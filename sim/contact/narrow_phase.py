@@ -6,11 +6,18 @@ from taichi.math import vec3
 from core.distance_grid import DistanceGrid
 from core.fields import FieldGroup
 from sim.contact.broad_phase import SelfCollision
-from sim.contact.constraints import ContactConstraints, ContactForces
+from sim.contact.constraints import GENTLE, ContactConstraints, ContactForces
 from sim.contact.contact_samples import ContactSamples, QueryPoints
 from sim.contact.finger_capsules import MAX_SAMPLE_FORCE, YOUNG_PER_MU
 from sim.contact.nearest_tet import NearestTets, rest_coordinates
-from sim.contact.response import CONTACT_STIFFNESS, contact_impulse, isotropic_contact_impulse, min_normal_motion
+from sim.contact.response import (
+    CONTACT_STIFFNESS,
+    GENTLE_GROWTH,
+    begins_inside,
+    contact_impulse,
+    isotropic_contact_impulse,
+    min_normal_motion,
+)
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known
 from sim.model import MAX_BODIES, Capacity, Model, fit
 from sim.state import State
@@ -94,11 +101,18 @@ class StaticContact:
         p = self.samples.of_vertex[i]
         if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
             y = d - s.x_lo[i] + self.constraints.last_correction[i]
-            clearance, correction = UNKNOWN_DISTANCE, vec3(0.0)
+            clearance, correction, before, any_gentle = UNKNOWN_DISTANCE, vec3(0.0), self.forces.correction[i], False
             for k in range(self.near_count[p]):
                 phi, n, friction = self._contact(i, p, self.near[p, k])
                 if known(phi):
-                    holding = min_normal_motion(phi, s.dt[None]) * n - y
+                    gentle = self._is_gentle(i, p, phi)
+                    any_gentle = any_gentle or gentle
+                    least = min_normal_motion(phi, s.dt[None], gentle)
+                    if gentle:
+                        y_n, most = n.dot(y), ti.max(n.dot(before), 0.0) + GENTLE_GROWTH * s.dt[None] ** 3
+                        least = ti.min(least, ti.max(y_n + most, 0.0))
+                        friction *= 0.0
+                    holding = least * n - y
                     c = isotropic_contact_impulse(holding, n, 1.0, friction, s.dt[None])
                     y += c
                     correction += c
@@ -107,8 +121,16 @@ class StaticContact:
                     clearance = 0.0  # a grid that has no distance here may have one in a moment
             d += correction
             self.forces.correction[i] = correction
+            self.constraints.active[p] = GENTLE if any_gentle else 0
             self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
         return d
+
+    @ti.func
+    def _is_gentle(self, i, p, phi):
+        """Return whether vertex i, which is sample p, began inside of a shape that is at phi [m], and is not yet out."""
+        s, c = self.state, self.constraints
+        pushed, speed = self.forces.correction[i].norm_sqr() > 0.0, self.bounds.max_speed[self.samples.body[p]]
+        return begins_inside(phi, c.active[p] == GENTLE, pushed, speed, s.dt[None])
 
     @ti.func
     def evaluate_vertex(self, i):
@@ -116,7 +138,7 @@ class StaticContact:
         s = self.state
         p = self.samples.of_vertex[i]
         if p >= 0:
-            count = 0
+            count, any_gentle = 0, False
             if self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
                 clearance = UNKNOWN_DISTANCE
                 for k in range(self.near_count[p]):
@@ -124,10 +146,12 @@ class StaticContact:
                     if known(phi):
                         self.phi[p, count], self.normal[p, count], self.friction[p, count] = phi, n, friction
                         clearance = ti.min(clearance, phi)
+                        any_gentle = any_gentle or self._is_gentle(i, p, phi)
                         count += 1
                     else:
                         clearance = 0.0  # a grid that has no distance here may have one in a moment
                 self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
+            self.constraints.active[p] = GENTLE if any_gentle else 0
             if count == 0 and self.contact_count[p] > 0:
                 self.forces.clear(i)
             self.contact_count[p] = count
@@ -153,7 +177,11 @@ class StaticContact:
                 n = self.normal[p, k]
                 y, A_n, H_n = d - s.x_lo[i], A @ n, H @ n
                 y_n = n.dot(y)
-                lacking = min_normal_motion(self.phi[p, k], s.dt[None]) - y_n
+                gentle = self.constraints.active[p] == GENTLE
+                lacking = min_normal_motion(self.phi[p, k], s.dt[None], gentle) - y_n
+                if gentle:
+                    pushed = A_n.dot(n) * (ti.max(n.dot(prior), 0.0) + GENTLE_GROWTH * s.mass[i] * s.dt[None])
+                    lacking = ti.min(lacking, ti.max(pushed, -y_n))
                 if lacking > 0.0:
                     most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
                     holding = H @ (lacking * n - (y - y_n * n))

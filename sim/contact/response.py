@@ -19,6 +19,8 @@ import taichi as ti
 CONTACT_SLOP = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-7 m) can neither open nor tighten them
 RECOVERY_TIME = 0.02  # [s] in which a deeper penetration decays
 MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw the body that it frees
+GENTLE_SPEED = 0.2  # [m/s] of a contact that began inside; soft bodies spring apart at up to twice that
+GENTLE_GROWTH = 2000.0  # [m/s^3] of the acceleration with which such a contact pushes outward
 # [body mass / dt^2] with which a shape meets a vertex in VBD, on top of the force it had: a push grows to
 # its full size over a few sweeps. At once, the corner of a light stiff body would be held against the motion of the
 # whole body before the sweeps have told the body, and store more energy than the body has. What rests is not affected.
@@ -31,14 +33,24 @@ KINETIC_FRICTION_SPEED = 0.02
 
 
 @ti.func
-def min_normal_motion(phi, dt):
+def begins_inside(phi, was_gentle, pushed, closing_speed, dt):
+    """Return whether a contact at distance phi [m] is to recover gently: until it is out, if it was deep at first.
+
+    That is if it has not pushed in the substep before, and is deeper than closing_speed [m/s] would bring it in one.
+    """
+    return phi < -2.0 * CONTACT_SLOP and (was_gentle or (not pushed and phi < -closing_speed * dt))
+
+
+@ti.func
+def min_normal_motion(phi, dt, gentle=False):
     """Least normal motion [m] of a contact at distance phi [m]: down to the slop, or out again if it is deeper."""
     gap = phi + CONTACT_SLOP
     result = 0.0
     if gap > CONTACT_SLOP:
         result = -gap
     elif gap < -CONTACT_SLOP:
-        result = ti.min((-gap - CONTACT_SLOP) / RECOVERY_TIME, MAX_RECOVERY_SPEED) * dt
+        fastest = GENTLE_SPEED if gentle else MAX_RECOVERY_SPEED
+        result = ti.min((-gap - CONTACT_SLOP) / RECOVERY_TIME, fastest) * dt
     return result
 
 

@@ -20,11 +20,11 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.contact.response import (
-    GENTLE_GROWTH,
     UNBOUNDED,
-    begins_inside,
     fingertip_spring,
+    gentle_normal_motion,
     holding_impulse,
+    is_gentle,
     isotropic_contact_impulse,
     min_normal_motion,
 )
@@ -155,7 +155,7 @@ class ContactConstraints:
     def is_gentle(self, r):
         """Return whether row r began inside and is not yet out."""
         pushed = self.impulse[r].norm_sqr() > 0.0
-        return begins_inside(self.phi[r], self.active[r] == GENTLE, pushed, self.closing_speed[r], self.state.dt[None])
+        return is_gentle(self.phi[r], self.active[r] == GENTLE, pushed, self.closing_speed[r], self.state.dt[None])
 
     @ti.func
     def set_active(self, r, usable, loaded, gentle):
@@ -201,18 +201,16 @@ class ContactConstraints:
                     inv_mass += count * self.rigid_bodies.inverse_effective_mass(b, arm, n)
                     inv_mass_t += count * self.rigid_bodies.inverse_effective_mass(b, arm, along)
             if inv_mass > 0.0:
-                gentle, compliance, damping, most = self.active[r] == GENTLE, 0.0, 1.0, UNBOUNDED
-                least = min_normal_motion(self.phi[r], dt, gentle)
-                if gentle:
-                    least = ti.min(least, ti.max(n.dot(y) + GENTLE_GROWTH * dt**3, 0.0))
+                least, compliance, damping, most = min_normal_motion(self.phi[r], dt), 0.0, 1.0, UNBOUNDED
+                friction = self.friction[r]
+                if self.active[r] == GENTLE:
+                    least = gentle_normal_motion(self.phi[r], n.dot(y) - inv_mass * n.dot(old), dt)
+                    friction *= 0.0  # of what squeezes it, which would hold it inside
                 if ti.static(self.fingers):  # noqa: SIM102
                     if r >= self.first_finger:
                         least, compliance, damping = fingertip_spring(self.phi[r], dt)
                         most = self.max_force[r - self.first_finger] * dt * dt
                 held = holding_impulse(old, n, y, least, inv_mass, inv_mass_t, compliance, damping, most)
-                friction = self.friction[r]
-                if gentle:
-                    friction *= 0.0
                 new = isotropic_contact_impulse(held, n, inv_mass_t, friction, dt)
                 self.impulse[r] = new
                 self.add_impulse(r, new - old, j)

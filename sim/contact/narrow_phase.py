@@ -12,9 +12,9 @@ from sim.contact.finger_capsules import MAX_SAMPLE_FORCE, YOUNG_PER_MU
 from sim.contact.nearest_tet import NearestTets, rest_coordinates
 from sim.contact.response import (
     CONTACT_STIFFNESS,
-    GENTLE_GROWTH,
-    begins_inside,
     contact_impulse,
+    gentle_normal_motion,
+    is_gentle,
     isotropic_contact_impulse,
     min_normal_motion,
 )
@@ -101,17 +101,15 @@ class StaticContact:
         p = self.samples.of_vertex[i]
         if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
             y = d - s.x_lo[i] + self.constraints.last_correction[i]
-            clearance, correction, before, any_gentle = UNKNOWN_DISTANCE, vec3(0.0), self.forces.correction[i], False
+            clearance, correction, any_gentle = UNKNOWN_DISTANCE, vec3(0.0), False
             for k in range(self.near_count[p]):
                 phi, n, friction = self._contact(i, p, self.near[p, k])
                 if known(phi):
                     gentle = self._is_gentle(i, p, phi)
                     any_gentle = any_gentle or gentle
-                    least = min_normal_motion(phi, s.dt[None], gentle)
+                    least = min_normal_motion(phi, s.dt[None])
                     if gentle:
-                        y_n, most = n.dot(y), ti.max(n.dot(before), 0.0) + GENTLE_GROWTH * s.dt[None] ** 3
-                        least = ti.min(least, ti.max(y_n + most, 0.0))
-                        friction *= 0.0
+                        least, friction = gentle_normal_motion(phi, n.dot(y), s.dt[None]), 0.0 * friction
                     holding = least * n - y
                     c = isotropic_contact_impulse(holding, n, 1.0, friction, s.dt[None])
                     y += c
@@ -130,7 +128,7 @@ class StaticContact:
         """Return whether vertex i, which is sample p, began inside of a shape that is at phi [m], and is not yet out."""
         s, c = self.state, self.constraints
         pushed, speed = self.forces.correction[i].norm_sqr() > 0.0, self.bounds.max_speed[self.samples.body[p]]
-        return begins_inside(phi, c.active[p] == GENTLE, pushed, speed, s.dt[None])
+        return is_gentle(phi, c.active[p] == GENTLE, pushed, speed, s.dt[None])
 
     @ti.func
     def evaluate_vertex(self, i):
@@ -172,16 +170,15 @@ class StaticContact:
         d, force, stiffness, K = dx, vec3(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
         p = self.samples.of_vertex[i]
         if p >= 0 and self.contact_count[p] > 0:
+            gentle = self.constraints.active[p] == GENTLE
             contact_stiffness = CONTACT_STIFFNESS * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
             for k in range(self.contact_count[p]):
                 n = self.normal[p, k]
                 y, A_n, H_n = d - s.x_lo[i], A @ n, H @ n
                 y_n = n.dot(y)
-                gentle = self.constraints.active[p] == GENTLE
-                lacking = min_normal_motion(self.phi[p, k], s.dt[None], gentle) - y_n
+                lacking = min_normal_motion(self.phi[p, k], s.dt[None]) - y_n
                 if gentle:
-                    pushed = A_n.dot(n) * (ti.max(n.dot(prior), 0.0) + GENTLE_GROWTH * s.mass[i] * s.dt[None])
-                    lacking = ti.min(lacking, ti.max(pushed, -y_n))
+                    lacking = gentle_normal_motion(self.phi[p, k], y_n, s.dt[None]) - y_n
                 if lacking > 0.0:
                     most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
                     holding = H @ (lacking * n - (y - y_n * n))

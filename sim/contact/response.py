@@ -19,8 +19,10 @@ import taichi as ti
 CONTACT_SLOP = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-7 m) can neither open nor tighten them
 RECOVERY_TIME = 0.02  # [s] in which a deeper penetration decays
 MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw the body that it frees
-GENTLE_SPEED = 0.2  # [m/s] of a contact that began inside; soft bodies spring apart at up to twice that
-GENTLE_GROWTH = 2000.0  # [m/s^3] of the acceleration with which such a contact pushes outward
+GENTLE_SPEED = 0.2  # [m/s] the same of a contact that began inside; soft bodies part at up to twice that
+# [m/s^2] with which such a contact pushes its vertices out: more than gravity takes from the whole body, less than
+# squeezes it. Where contacts push against one another, each would do so until something gives: 40 m/s at 1e8 Pa.
+GENTLE_ACCELERATION = 100.0
 # [body mass / dt^2] with which a shape meets a vertex in VBD, on top of the force it had: a push grows to
 # its full size over a few sweeps. At once, the corner of a light stiff body would be held against the motion of the
 # whole body before the sweeps have told the body, and store more energy than the body has. What rests is not affected.
@@ -42,16 +44,31 @@ def begins_inside(phi, was_gentle, pushed, closing_speed, dt):
 
 
 @ti.func
-def min_normal_motion(phi, dt, gentle=False):
+def min_normal_motion(phi, dt):
     """Least normal motion [m] of a contact at distance phi [m]: down to the slop, or out again if it is deeper."""
     gap = phi + CONTACT_SLOP
     result = 0.0
     if gap > CONTACT_SLOP:
         result = -gap
     elif gap < -CONTACT_SLOP:
-        fastest = GENTLE_SPEED if gentle else MAX_RECOVERY_SPEED
-        result = ti.min((-gap - CONTACT_SLOP) / RECOVERY_TIME, fastest) * dt
+        result = ti.min((-gap - CONTACT_SLOP) / RECOVERY_TIME, MAX_RECOVERY_SPEED) * dt
     return result
+
+
+@ti.func
+def gentle_normal_motion(phi, free, dt):
+    """The same of a contact that began inside and would move by `free` [m] if it did not push: held, or out slowly."""
+    most = ti.min(free + GENTLE_ACCELERATION * dt * dt, GENTLE_SPEED * dt)
+    return ti.min(min_normal_motion(phi, dt), ti.max(most, 0.0))
+
+
+@ti.func
+def is_gentle(phi, was_gentle, pushed, closing_speed, dt):
+    """Return whether a contact at distance phi [m] began inside and is not yet out.
+
+    It begins inside if it is deeper than closing_speed [m/s] brings it in a substep, and had not pushed in the last.
+    """
+    return phi < -2.0 * CONTACT_SLOP and (was_gentle or (not pushed and phi < -closing_speed * dt))
 
 
 @ti.func

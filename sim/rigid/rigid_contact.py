@@ -11,7 +11,7 @@ from taichi.math import vec3
 from core.fields import FieldGroup
 from core.lanes import from_lane, lane_count, max_lanes, rank_lanes, sync_lanes, vector_from_lane
 from sim.contact.constraints import GENTLE, SETTLED
-from sim.contact.response import isotropic_contact_impulse, min_normal_motion
+from sim.contact.response import GENTLE_SPEED, isotropic_contact_impulse, min_normal_motion
 from sim.contact.static_shapes import MAX_SHAPES, known
 from sim.rigid.rigid_bodies import SOFT
 from sim.rigid.rigid_broad_phase import WORLD, RigidBroadPhase, bodies_of_group
@@ -110,7 +110,9 @@ class RigidContacts:
         An impact asks for its bounce speed, in its first substep less what the body has to go until it touches.
         """
         dt = self.state.dt[None]
-        y_n = min_normal_motion(self.constraints.phi[r], dt, self.constraints.active[r] == GENTLE)
+        y_n = min_normal_motion(self.constraints.phi[r], dt)
+        if self.constraints.active[r] == GENTLE:
+            y_n = ti.min(y_n, GENTLE_SPEED * dt)
         if self.search.bounce_speed[q] > 0.0:
             y_n = self.search.bounce_speed[q] * dt
             if self.impact_left[q] == IMPACT_SUBSTEPS:

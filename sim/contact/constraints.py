@@ -37,7 +37,7 @@ MAX_VERTICES = 7  # of a constraint: a triangle's and a tet's
 SETTLED = 1e-3  # relative change of an impulse in a pass, after which no further pass is needed
 FORCE_STEP = 1e-6  # [N] of the integer sums of forces, which do not depend on the order of summation
 NOT_CHECKED, NO_DISTANCE, VALID = range(3)  # `status` of a constraint
-GENTLE = 2  # `active` of a constraint that began inside, until it is out
+GENTLE = 2  # `active` of a constraint that began inside, and 1 more in each sweep until it is out
 
 
 @ti.data_oriented
@@ -155,7 +155,7 @@ class ContactConstraints:
     def is_gentle(self, r):
         """Return whether row r began inside and is not yet out."""
         pushed = self.impulse[r].norm_sqr() > 0.0
-        return is_gentle(self.phi[r], self.active[r] == GENTLE, pushed, self.closing_speed[r], self.state.dt[None])
+        return is_gentle(self.phi[r], self.active[r] >= GENTLE, pushed, self.closing_speed[r], self.state.dt[None])
 
     @ti.func
     def set_active(self, r, usable, loaded, gentle):
@@ -163,7 +163,7 @@ class ContactConstraints:
 
         Otherwise clear that impulse and, if the row has a distance (`usable`), skip it until that may be used up.
         """
-        self.active[r] = GENTLE if gentle else ti.cast(loaded, ti.i32)
+        self.active[r] = ti.max(self.active[r], 1) + 1 if gentle else ti.cast(loaded, ti.i32)
         if loaded:
             self.add_impulse(r, self.impulse[r], 0)
         else:
@@ -203,8 +203,9 @@ class ContactConstraints:
             if inv_mass > 0.0:
                 least, compliance, damping, most = min_normal_motion(self.phi[r], dt), 0.0, 1.0, UNBOUNDED
                 friction = self.friction[r]
-                if self.active[r] == GENTLE:
-                    least = gentle_normal_motion(self.phi[r], n.dot(y) - inv_mass * n.dot(old), dt)
+                if self.active[r] >= GENTLE:
+                    time = dt * (self.active[r] - 1) / integrator.iterations
+                    least = gentle_normal_motion(self.phi[r], n.dot(y) - inv_mass * n.dot(old), time, dt)
                     friction *= 0.0  # of what squeezes it, which would hold it inside
                 if ti.static(self.fingers):  # noqa: SIM102
                     if r >= self.first_finger:

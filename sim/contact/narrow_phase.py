@@ -102,6 +102,7 @@ class StaticContact:
         if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
             y = d - s.x_lo[i] + self.constraints.last_correction[i]
             clearance, correction, any_gentle = UNKNOWN_DISTANCE, vec3(0.0), False
+            time = self.constraints.active[p] * s.dt[None]
             for k in range(self.near_count[p]):
                 phi, n, friction = self._contact(i, p, self.near[p, k])
                 if known(phi):
@@ -109,7 +110,7 @@ class StaticContact:
                     any_gentle = any_gentle or gentle
                     least = min_normal_motion(phi, s.dt[None])
                     if gentle:
-                        least, friction = gentle_normal_motion(phi, n.dot(y), s.dt[None]), 0.0 * friction
+                        least, friction = gentle_normal_motion(phi, n.dot(y), time, s.dt[None]), 0.0 * friction
                     holding = least * n - y
                     c = isotropic_contact_impulse(holding, n, 1.0, friction, s.dt[None])
                     y += c
@@ -119,7 +120,7 @@ class StaticContact:
                     clearance = 0.0  # a grid that has no distance here may have one in a moment
             d += correction
             self.forces.correction[i] = correction
-            self.constraints.active[p] = GENTLE if any_gentle else 0
+            self.constraints.active[p] = ti.max(self.constraints.active[p], 1) + 1 if any_gentle else 0
             self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
         return d
 
@@ -128,7 +129,7 @@ class StaticContact:
         """Return whether vertex i, which is sample p, began inside of a shape that is at phi [m], and is not yet out."""
         s, c = self.state, self.constraints
         pushed, speed = self.forces.correction[i].norm_sqr() > 0.0, self.bounds.max_speed[self.samples.body[p]]
-        return is_gentle(phi, c.active[p] == GENTLE, pushed, speed, s.dt[None])
+        return is_gentle(phi, c.active[p] >= GENTLE, pushed, speed, s.dt[None])
 
     @ti.func
     def evaluate_vertex(self, i):
@@ -149,7 +150,7 @@ class StaticContact:
                     else:
                         clearance = 0.0  # a grid that has no distance here may have one in a moment
                 self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
-            self.constraints.active[p] = GENTLE if any_gentle else 0
+            self.constraints.active[p] = ti.max(self.constraints.active[p], 1) + 1 if any_gentle else 0
             if count == 0 and self.contact_count[p] > 0:
                 self.forces.clear(i)
             self.contact_count[p] = count
@@ -170,7 +171,7 @@ class StaticContact:
         d, force, stiffness, K = dx, vec3(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
         p = self.samples.of_vertex[i]
         if p >= 0 and self.contact_count[p] > 0:
-            gentle = self.constraints.active[p] == GENTLE
+            gentle, time = self.constraints.active[p] >= GENTLE, self.constraints.active[p] * s.dt[None]
             contact_stiffness = CONTACT_STIFFNESS * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
             for k in range(self.contact_count[p]):
                 n = self.normal[p, k]
@@ -178,7 +179,7 @@ class StaticContact:
                 y_n = n.dot(y)
                 lacking = min_normal_motion(self.phi[p, k], s.dt[None]) - y_n
                 if gentle:
-                    lacking = gentle_normal_motion(self.phi[p, k], y_n, s.dt[None]) - y_n
+                    lacking = gentle_normal_motion(self.phi[p, k], y_n, time, s.dt[None]) - y_n
                 if lacking > 0.0:
                     most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
                     holding = H @ (lacking * n - (y - y_n * n))

@@ -20,9 +20,9 @@ CONTACT_SLOP = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-
 RECOVERY_TIME = 0.02  # [s] in which a deeper penetration decays
 MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw the body that it frees
 GENTLE_SPEED = 0.2  # [m/s] the same of a contact that began inside; soft bodies part at up to twice that
-# [m/s^2] with which such a contact pushes its vertices out: more than gravity takes from the whole body, less than
-# squeezes it. Where contacts push against one another, each would do so until something gives: 40 m/s at 1e8 Pa.
-GENTLE_ACCELERATION = 100.0
+# [m/s^3], growth of the acceleration with which such a contact pushes out. Where contacts push against one another, they
+# would squeeze the body until something gives: 40 m/s at 1e8 Pa. It grows, so that a heavy body comes out as well.
+GENTLE_GROWTH = 1000.0
 # [body mass / dt^2] with which a shape meets a vertex in VBD, on top of the force it had: a push grows to
 # its full size over a few sweeps. At once, the corner of a light stiff body would be held against the motion of the
 # whole body before the sweeps have told the body, and store more energy than the body has. What rests is not affected.
@@ -32,15 +32,6 @@ FINGERTIP_STIFFNESS = 1200.0  # [N/m] of one sample of a finger: the few of a fi
 # [m/s] at which friction is fully kinetic. If it were so at any speed, a soft block would slip far below mu_s: the
 # edge that slips first would pass its load to its neighbours (Stribeck's curve has this shape too).
 KINETIC_FRICTION_SPEED = 0.02
-
-
-@ti.func
-def begins_inside(phi, was_gentle, pushed, closing_speed, dt):
-    """Return whether a contact at distance phi [m] is to recover gently: until it is out, if it was deep at first.
-
-    That is if it has not pushed in the substep before, and is deeper than closing_speed [m/s] would bring it in one.
-    """
-    return phi < -2.0 * CONTACT_SLOP and (was_gentle or (not pushed and phi < -closing_speed * dt))
 
 
 @ti.func
@@ -56,9 +47,12 @@ def min_normal_motion(phi, dt):
 
 
 @ti.func
-def gentle_normal_motion(phi, free, dt):
-    """The same of a contact that began inside and would move by `free` [m] if it did not push: held, or out slowly."""
-    most = ti.min(free + GENTLE_ACCELERATION * dt * dt, GENTLE_SPEED * dt)
+def gentle_normal_motion(phi, free, time, dt):
+    """The same of a contact that began inside `time` [s] ago, and would move by `free` [m] if it did not push.
+
+    It is held where it is, or goes out slowly.
+    """
+    most = ti.min(free + GENTLE_GROWTH * time * dt * dt, GENTLE_SPEED * dt)
     return ti.min(min_normal_motion(phi, dt), ti.max(most, 0.0))
 
 

@@ -111,7 +111,7 @@ class RigidContacts:
         """
         dt = self.state.dt[None]
         y_n = min_normal_motion(self.constraints.phi[r], dt)
-        if self.constraints.active[r] == GENTLE:
+        if self.constraints.active[r] >= GENTLE:
             y_n = ti.min(y_n, GENTLE_SPEED * dt)
         if self.search.bounce_speed[q] > 0.0:
             y_n = self.search.bounce_speed[q] * dt

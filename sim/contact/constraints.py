@@ -20,11 +20,11 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.contact.response import (
+    CONTACT_SLOP,
     UNBOUNDED,
     fingertip_spring,
     gentle_normal_motion,
     holding_impulse,
-    is_gentle,
     isotropic_contact_impulse,
     min_normal_motion,
 )
@@ -37,7 +37,7 @@ MAX_VERTICES = 7  # of a constraint: a triangle's and a tet's
 SETTLED = 1e-3  # relative change of an impulse in a pass, after which no further pass is needed
 FORCE_STEP = 1e-6  # [N] of the integer sums of forces, which do not depend on the order of summation
 NOT_CHECKED, NO_DISTANCE, VALID = range(3)  # `status` of a constraint
-GENTLE = 2  # `active` of a constraint that began inside, and 1 more in each sweep until it is out
+GENTLE = 2  # `active` of a row, or vertex on static shapes, that began inside; 1 more in each sweep until it is out
 
 
 @ti.data_oriented
@@ -47,7 +47,7 @@ class ContactConstraints:
     normal vec3[R], phi f32[R] [m] signed distance, friction vec2[R] = (mu_s, mu_k)
     closing_speed f32[R] [m/s] at which phi may shrink;   impulse vec3[R] [kg m] of the last sweep
     next_check i32[R]: the substep until which a constraint is too far from contact to be evaluated
-    status i32[R]: of this substep, see above;   active i32[R]: takes part in this sweep
+    status i32[R]: of this substep, see above;   active i32[R]: 1 if it takes part in this sweep, or see GENTLE
     vertex_count i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a constraint
     candidate i32[R], candidate_count: the rows in use until the next search;   listed_count: with those that sleep
     split_count i32[V] = B, in steps;   last_correction vec3[V] [m]: of the last sweep
@@ -128,8 +128,9 @@ class ContactConstraints:
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
         """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to."""
-        gentle = usable and self.is_gentle(r)
-        loaded = gentle or (usable and self.impulse[r].norm_sqr() > 0.0)
+        pushed = self.impulse[r].norm_sqr() > 0.0
+        gentle = usable and self.is_gentle(r, self.phi[r], pushed, self.closing_speed[r])
+        loaded = gentle or (usable and pushed)
         if usable and not loaded:
             y_n = self.normal[r].dot(self.relative_motion(r, 0, integrator))
             loaded = y_n < min_normal_motion(self.phi[r], self.state.dt[None])
@@ -152,10 +153,17 @@ class ContactConstraints:
         self.set_active(r, usable, loaded, gentle)
 
     @ti.func
-    def is_gentle(self, r):
-        """Return whether row r began inside and is not yet out."""
-        pushed = self.impulse[r].norm_sqr() > 0.0
-        return is_gentle(self.phi[r], self.active[r] >= GENTLE, pushed, self.closing_speed[r], self.state.dt[None])
+    def is_gentle(self, r, phi, pushed, closing_speed):
+        """Return whether row r, at distance phi [m], began inside and is not yet out.
+
+        It begins inside if it is deeper than a substep at closing_speed [m/s] brings it, and had not `pushed` before.
+        """
+        begins = not pushed and phi < -closing_speed * self.state.dt[None]
+        return phi < -2.0 * CONTACT_SLOP and (begins or self.active[r] >= GENTLE)
+
+    @ti.func
+    def mark(self, r, loaded, gentle):
+        self.active[r] = ti.max(self.active[r], 1) + 1 if gentle else ti.cast(loaded, ti.i32)
 
     @ti.func
     def set_active(self, r, usable, loaded, gentle):
@@ -163,7 +171,7 @@ class ContactConstraints:
 
         Otherwise clear that impulse and, if the row has a distance (`usable`), skip it until that may be used up.
         """
-        self.active[r] = ti.max(self.active[r], 1) + 1 if gentle else ti.cast(loaded, ti.i32)
+        self.mark(r, loaded, gentle)
         if loaded:
             self.add_impulse(r, self.impulse[r], 0)
         else:

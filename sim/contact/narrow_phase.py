@@ -14,7 +14,6 @@ from sim.contact.response import (
     CONTACT_STIFFNESS,
     contact_impulse,
     gentle_normal_motion,
-    is_gentle,
     isotropic_contact_impulse,
     min_normal_motion,
 )
@@ -120,16 +119,15 @@ class StaticContact:
                     clearance = 0.0  # a grid that has no distance here may have one in a moment
             d += correction
             self.forces.correction[i] = correction
-            self.constraints.active[p] = ti.max(self.constraints.active[p], 1) + 1 if any_gentle else 0
+            self.constraints.mark(p, False, any_gentle)
             self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
         return d
 
     @ti.func
     def _is_gentle(self, i, p, phi):
         """Return whether vertex i, which is sample p, began inside of a shape that is at phi [m], and is not yet out."""
-        s, c = self.state, self.constraints
-        pushed, speed = self.forces.correction[i].norm_sqr() > 0.0, self.bounds.max_speed[self.samples.body[p]]
-        return is_gentle(phi, c.active[p] >= GENTLE, pushed, speed, s.dt[None])
+        pushed = self.forces.correction[i].norm_sqr() > 0.0
+        return self.constraints.is_gentle(p, phi, pushed, self.bounds.max_speed[self.samples.body[p]])
 
     @ti.func
     def evaluate_vertex(self, i):
@@ -150,7 +148,7 @@ class StaticContact:
                     else:
                         clearance = 0.0  # a grid that has no distance here may have one in a moment
                 self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
-            self.constraints.active[p] = ti.max(self.constraints.active[p], 1) + 1 if any_gentle else 0
+            self.constraints.mark(p, False, any_gentle)
             if count == 0 and self.contact_count[p] > 0:
                 self.forces.clear(i)
             self.contact_count[p] = count

@@ -68,8 +68,10 @@ class RigidContacts:
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
         """Activate a constraint of a group as ContactConstraints does; the first that carries a load counts for all."""
-        g, loaded, gentle = self.search.group_of(r - self.begin), False, usable and self.constraints.is_gentle(r)
+        g, loaded, gentle = self.search.group_of(r - self.begin), False, False
         if usable:
+            table = self.constraints
+            gentle = table.is_gentle(r, table.phi[r], table.impulse[r].norm_sqr() > 0.0, table.closing_speed[r])
             loaded = self._carries_load(r, g, self.constraints.relative_motion(r, 0, integrator))
         if loaded:
             a, b = bodies_of_group(g)

@@ -125,7 +125,7 @@ class StaticContact:
 
     @ti.func
     def _is_gentle(self, i, p, phi):
-        """Return whether vertex i, which is sample p, began inside of a shape that is at phi [m], and is not yet out."""
+        """Return whether vertex i, sample p, began inside of a shape that is at phi [m] now, and is not yet out."""
         pushed = self.forces.correction[i].norm_sqr() > 0.0
         return self.constraints.is_gentle(p, phi, pushed, self.bounds.max_speed[self.samples.body[p]])
 

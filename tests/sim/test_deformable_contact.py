@@ -59,7 +59,7 @@ def test_neighbours_share_a_face():
 
 
 def test_what_is_pushed_out_of_the_floor_does_not_enter_what_is_above_it(cubes):
-    """At rest without gravity nothing is expected to move: it is the margin of the search that covers the first push."""
+    """At rest without gravity nothing is expected to move: the margin of the search covers the first push."""
     cubes.gravity = (0.0, 0.0, 0.0)
     low, high = vertices_of(cubes)
     sunk, above = low - [0, 0.009, 0], high - [0, high[:, 1].min() - (low[:, 1].max() - 0.0075), 0]

@@ -20,7 +20,7 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.contact.response import (
-    CONTACT_SLOP,
+    INSIDE,
     UNBOUNDED,
     fingertip_spring,
     gentle_normal_motion,
@@ -129,7 +129,7 @@ class ContactConstraints:
     def activate(self, r, usable, integrator: ti.template()):
         """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to."""
         pushed = self.impulse[r].norm_sqr() > 0.0
-        gentle = usable and self.is_gentle(r, self.phi[r], pushed, self.closing_speed[r])
+        gentle = usable and self.is_gentle(r, self.phi[r], pushed)
         loaded = gentle or (usable and pushed)
         if usable and not loaded:
             y_n = self.normal[r].dot(self.relative_motion(r, 0, integrator))
@@ -153,13 +153,9 @@ class ContactConstraints:
         self.set_active(r, usable, loaded, gentle)
 
     @ti.func
-    def is_gentle(self, r, phi, pushed, closing_speed):
-        """Return whether row r, at distance phi [m], began inside and is not yet out.
-
-        It begins inside if it is deeper than a substep at closing_speed [m/s] brings it, and had not `pushed` before.
-        """
-        begins = not pushed and phi < -closing_speed * self.state.dt[None]
-        return phi < -2.0 * CONTACT_SLOP and (begins or self.active[r] >= GENTLE)
+    def is_gentle(self, r, phi, pushed):
+        """Return whether row r, at distance phi [m], began INSIDE, where it had not `pushed` before, and still is."""
+        return phi < -INSIDE and (not pushed or self.active[r] >= GENTLE)
 
     @ti.func
     def mark(self, r, loaded, gentle):

@@ -101,15 +101,16 @@ class StaticContact:
         if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
             y = d - s.x_lo[i] + self.constraints.last_correction[i]
             clearance, correction, any_gentle = UNKNOWN_DISTANCE, vec3(0.0), False
+            pushed = self.forces.correction[i].norm_sqr() > 0.0
             time = self.constraints.active[p] * s.dt[None]
             for k in range(self.near_count[p]):
                 phi, n, friction = self._contact(i, p, self.near[p, k])
                 if known(phi):
-                    gentle = self._is_gentle(i, p, phi)
+                    gentle = self.constraints.is_gentle(p, phi, pushed)
                     any_gentle = any_gentle or gentle
                     least = min_normal_motion(phi, s.dt[None])
                     if gentle:
-                        least, friction = gentle_normal_motion(phi, n.dot(y), time, s.dt[None]), 0.0 * friction
+                        least = gentle_normal_motion(phi, n.dot(y), time, s.dt[None])
                     holding = least * n - y
                     c = isotropic_contact_impulse(holding, n, 1.0, friction, s.dt[None])
                     y += c
@@ -124,18 +125,12 @@ class StaticContact:
         return d
 
     @ti.func
-    def _is_gentle(self, i, p, phi):
-        """Return whether vertex i, sample p, began inside of a shape that is at phi [m] now, and is not yet out."""
-        pushed = self.forces.correction[i].norm_sqr() > 0.0
-        return self.constraints.is_gentle(p, phi, pushed, self.bounds.max_speed[self.samples.body[p]])
-
-    @ti.func
     def evaluate_vertex(self, i):
         """Find the distances of vertex i to all shapes near it, for the sweeps of a substep of VBD."""
         s = self.state
         p = self.samples.of_vertex[i]
         if p >= 0:
-            count, any_gentle = 0, False
+            count, any_gentle, pushed = 0, False, self.forces.correction[i].norm_sqr() > 0.0
             if self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
                 clearance = UNKNOWN_DISTANCE
                 for k in range(self.near_count[p]):
@@ -143,7 +138,7 @@ class StaticContact:
                     if known(phi):
                         self.phi[p, count], self.normal[p, count], self.friction[p, count] = phi, n, friction
                         clearance = ti.min(clearance, phi)
-                        any_gentle = any_gentle or self._is_gentle(i, p, phi)
+                        any_gentle = any_gentle or self.constraints.is_gentle(p, phi, pushed)
                         count += 1
                     else:
                         clearance = 0.0  # a grid that has no distance here may have one in a moment

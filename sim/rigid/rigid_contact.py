@@ -71,7 +71,7 @@ class RigidContacts:
         g, loaded, gentle = self.search.group_of(r - self.begin), False, False
         if usable:
             table = self.constraints
-            gentle = table.is_gentle(r, table.phi[r], table.impulse[r].norm_sqr() > 0.0, table.closing_speed[r])
+            gentle = table.is_gentle(r, table.phi[r], table.impulse[r].norm_sqr() > 0.0)
             loaded = self._carries_load(r, g, self.constraints.relative_motion(r, 0, integrator))
         if loaded:
             a, b = bodies_of_group(g)

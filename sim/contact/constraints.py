@@ -159,6 +159,7 @@ class ContactConstraints:
 
     @ti.func
     def mark(self, r, loaded, gentle):
+        """Set `active` of row r."""
         self.active[r] = ti.max(self.active[r], 1) + 1 if gentle else ti.cast(loaded, ti.i32)
 
     @ti.func

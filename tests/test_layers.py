@@ -28,8 +28,8 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_895, "assets": 5_040, "scenes": 2_220, "sim": 11_001, "render": 3_505, "prepare": 15_493,
-    "display": 13_824, "commands": 4_634, "bench": 3_464, "installer": 200, "tests": 36_852,
+    "core": 2_895, "assets": 5_040, "scenes": 2_220, "sim": 11_002, "render": 3_505, "prepare": 15_493,
+    "display": 13_824, "commands": 4_634, "bench": 3_463, "installer": 200, "tests": 36_852,
 }  # fmt: skip
 MOST_FILES = 310  # of the product
 

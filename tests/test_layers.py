@@ -28,8 +28,8 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_907, "assets": 5_162, "scenes": 2_344, "sim": 10_952, "render": 3_560, "prepare": 15_493,
-    "display": 13_868, "commands": 4_655, "bench": 3_440, "installer": 200, "tests": 37_155,
+    "core": 2_907, "assets": 5_162, "scenes": 2_344, "sim": 11_016, "render": 3_560, "prepare": 15_527,
+    "display": 13_868, "commands": 4_658, "bench": 3_463, "installer": 200, "tests": 37_269,
 }  # fmt: skip
 MOST_FILES = 313  # of the product
 

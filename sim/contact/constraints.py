@@ -20,8 +20,10 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.contact.response import (
+    INSIDE,
     UNBOUNDED,
     fingertip_spring,
+    gentle_normal_motion,
     holding_impulse,
     isotropic_contact_impulse,
     min_normal_motion,
@@ -35,6 +37,7 @@ MAX_VERTICES = 7  # of a constraint: a triangle's and a tet's
 SETTLED = 1e-3  # relative change of an impulse in a pass, after which no further pass is needed
 FORCE_STEP = 1e-6  # [N] of the integer sums of forces, which do not depend on the order of summation
 NOT_CHECKED, NO_DISTANCE, VALID = range(3)  # `status` of a constraint
+GENTLE = 2  # `active` of a row, or vertex on static shapes, that began inside; 1 more in each sweep until it is out
 
 
 @ti.data_oriented
@@ -44,7 +47,7 @@ class ContactConstraints:
     normal vec3[R], phi f32[R] [m] signed distance, friction vec2[R] = (mu_s, mu_k)
     closing_speed f32[R] [m/s] at which phi may shrink;   impulse vec3[R] [kg m] of the last sweep
     next_check i32[R]: the substep until which a constraint is too far from contact to be evaluated
-    status i32[R]: of this substep, see above;   active i32[R]: takes part in this sweep
+    status i32[R]: of this substep, see above;   active i32[R]: 1 if it takes part in this sweep, or see GENTLE
     vertex_count i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a constraint
     candidate i32[R], candidate_count: the rows in use until the next search;   listed_count: with those that sleep
     split_count i32[V] = B, in steps;   last_correction vec3[V] [m]: of the last sweep
@@ -125,7 +128,9 @@ class ContactConstraints:
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
         """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to."""
-        loaded = usable and self.impulse[r].norm_sqr() > 0.0
+        pushed = self.impulse[r].norm_sqr() > 0.0
+        gentle = usable and self.is_gentle(r, self.phi[r], pushed)
+        loaded = gentle or (usable and pushed)
         if usable and not loaded:
             y_n = self.normal[r].dot(self.relative_motion(r, 0, integrator))
             loaded = y_n < min_normal_motion(self.phi[r], self.state.dt[None])
@@ -145,15 +150,25 @@ class ContactConstraints:
                     ti.atomic_add(integrator.whole.split_count[a], 1)
                 if b != a:
                     ti.atomic_add(integrator.whole.split_count[b], 1)
-        self.set_active(r, usable, loaded)
+        self.set_active(r, usable, loaded, gentle)
 
     @ti.func
-    def set_active(self, r, usable, loaded):
+    def is_gentle(self, r, phi, pushed):
+        """Return whether row r, at distance phi [m], began INSIDE, where it had not `pushed` before, and still is."""
+        return phi < -INSIDE and (not pushed or self.active[r] >= GENTLE)
+
+    @ti.func
+    def mark(self, r, loaded, gentle):
+        """Set `active` of row r."""
+        self.active[r] = ti.max(self.active[r], 1) + 1 if gentle else ti.cast(loaded, ti.i32)
+
+    @ti.func
+    def set_active(self, r, usable, loaded, gentle):
         """Activate row r in this sweep if it is loaded, beginning with its impulse of the last substep.
 
         Otherwise clear that impulse and, if the row has a distance (`usable`), skip it until that may be used up.
         """
-        self.active[r] = ti.cast(loaded, ti.i32)
+        self.mark(r, loaded, gentle)
         if loaded:
             self.add_impulse(r, self.impulse[r], 0)
         else:
@@ -192,12 +207,17 @@ class ContactConstraints:
                     inv_mass_t += count * self.rigid_bodies.inverse_effective_mass(b, arm, along)
             if inv_mass > 0.0:
                 least, compliance, damping, most = min_normal_motion(self.phi[r], dt), 0.0, 1.0, UNBOUNDED
+                friction = self.friction[r]
+                if self.active[r] >= GENTLE:
+                    time = dt * (self.active[r] - 1) / integrator.iterations
+                    least = gentle_normal_motion(self.phi[r], n.dot(y) - inv_mass * n.dot(old), time, dt)
+                    friction *= 0.0  # of what squeezes it, which would hold it inside
                 if ti.static(self.fingers):  # noqa: SIM102
                     if r >= self.first_finger:
                         least, compliance, damping = fingertip_spring(self.phi[r], dt)
                         most = self.max_force[r - self.first_finger] * dt * dt
                 held = holding_impulse(old, n, y, least, inv_mass, inv_mass_t, compliance, damping, most)
-                new = isotropic_contact_impulse(held, n, inv_mass_t, self.friction[r], dt)
+                new = isotropic_contact_impulse(held, n, inv_mass_t, friction, dt)
                 self.impulse[r] = new
                 self.add_impulse(r, new - old, j)
                 if ti.static(self.coupled):  # noqa: SIM102
@@ -330,6 +350,7 @@ class ContactConstraints:
         self.candidate_count[None], self.listed_count[None] = 0, 0
         for r in self.impulse:
             self.clear_impulse(r)
+            self.active[r] = 0
         for i in self.split_count:
             self.split_count[i] = 0
             self.last_correction[i] = ti.Vector([0.0, 0.0, 0.0])

@@ -6,11 +6,17 @@ from taichi.math import vec3
 from core.distance_grid import DistanceGrid
 from core.fields import FieldGroup
 from sim.contact.broad_phase import SelfCollision
-from sim.contact.constraints import ContactConstraints, ContactForces
+from sim.contact.constraints import GENTLE, ContactConstraints, ContactForces
 from sim.contact.contact_samples import ContactSamples, QueryPoints
 from sim.contact.finger_capsules import MAX_SAMPLE_FORCE, YOUNG_PER_MU
 from sim.contact.nearest_tet import NearestTets, rest_coordinates
-from sim.contact.response import CONTACT_STIFFNESS, contact_impulse, isotropic_contact_impulse, min_normal_motion
+from sim.contact.response import (
+    CONTACT_STIFFNESS,
+    contact_impulse,
+    gentle_normal_motion,
+    isotropic_contact_impulse,
+    min_normal_motion,
+)
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known
 from sim.model import MAX_BODIES, Capacity, Model, fit
 from sim.state import State
@@ -94,11 +100,18 @@ class StaticContact:
         p = self.samples.of_vertex[i]
         if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
             y = d - s.x_lo[i] + self.constraints.last_correction[i]
-            clearance, correction = UNKNOWN_DISTANCE, vec3(0.0)
+            clearance, correction, any_gentle = UNKNOWN_DISTANCE, vec3(0.0), False
+            pushed = self.forces.correction[i].norm_sqr() > 0.0
+            time = self.constraints.active[p] * s.dt[None]
             for k in range(self.near_count[p]):
                 phi, n, friction = self._contact(i, p, self.near[p, k])
                 if known(phi):
-                    holding = min_normal_motion(phi, s.dt[None]) * n - y
+                    gentle = self.constraints.is_gentle(p, phi, pushed)
+                    any_gentle = any_gentle or gentle
+                    least = min_normal_motion(phi, s.dt[None])
+                    if gentle:
+                        least = gentle_normal_motion(phi, n.dot(y), time, s.dt[None])
+                    holding = least * n - y
                     c = isotropic_contact_impulse(holding, n, 1.0, friction, s.dt[None])
                     y += c
                     correction += c
@@ -107,6 +120,7 @@ class StaticContact:
                     clearance = 0.0  # a grid that has no distance here may have one in a moment
             d += correction
             self.forces.correction[i] = correction
+            self.constraints.mark(p, False, any_gentle)
             self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
         return d
 
@@ -116,7 +130,7 @@ class StaticContact:
         s = self.state
         p = self.samples.of_vertex[i]
         if p >= 0:
-            count = 0
+            count, any_gentle, pushed = 0, False, self.forces.correction[i].norm_sqr() > 0.0
             if self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
                 clearance = UNKNOWN_DISTANCE
                 for k in range(self.near_count[p]):
@@ -124,10 +138,12 @@ class StaticContact:
                     if known(phi):
                         self.phi[p, count], self.normal[p, count], self.friction[p, count] = phi, n, friction
                         clearance = ti.min(clearance, phi)
+                        any_gentle = any_gentle or self.constraints.is_gentle(p, phi, pushed)
                         count += 1
                     else:
                         clearance = 0.0  # a grid that has no distance here may have one in a moment
                 self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
+            self.constraints.mark(p, False, any_gentle)
             if count == 0 and self.contact_count[p] > 0:
                 self.forces.clear(i)
             self.contact_count[p] = count
@@ -148,12 +164,15 @@ class StaticContact:
         d, force, stiffness, K = dx, vec3(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
         p = self.samples.of_vertex[i]
         if p >= 0 and self.contact_count[p] > 0:
+            gentle, time = self.constraints.active[p] >= GENTLE, self.constraints.active[p] * s.dt[None]
             contact_stiffness = CONTACT_STIFFNESS * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
             for k in range(self.contact_count[p]):
                 n = self.normal[p, k]
                 y, A_n, H_n = d - s.x_lo[i], A @ n, H @ n
                 y_n = n.dot(y)
                 lacking = min_normal_motion(self.phi[p, k], s.dt[None]) - y_n
+                if gentle:
+                    lacking = gentle_normal_motion(self.phi[p, k], y_n, time, s.dt[None]) - y_n
                 if lacking > 0.0:
                     most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
                     holding = H @ (lacking * n - (y - y_n * n))

@@ -6,6 +6,7 @@ inverse effective mass (Delassus operator). With n the normal and phi the signed
     n . y' >= least = min_normal_motion(phi),   n . p >= 0,   n . p = 0 where n . y' > least    (pushes, never pulls)
     |p_t| <= mu n . p,   y'_t = 0 where that suffices                                           (sticks or slides)
 
+A contact that began inside goes out slowly, by `gentle_normal_motion`, and between bodies without friction.
 `contact_impulse` is that law. It begins with the impulse that would hold the contact if nothing bounded it, in which
 alone the kinds of contact differ:
 
@@ -19,6 +20,11 @@ import taichi as ti
 CONTACT_SLOP = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-7 m) can neither open nor tighten them
 RECOVERY_TIME = 0.02  # [s] in which a deeper penetration decays
 MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw the body that it frees
+INSIDE = 1e-4  # [m]; what begins deeper was inside before it could be met, and nothing rests as deep
+GENTLE_SPEED = 0.2  # [m/s]; the same of a contact that began inside. Soft bodies spring apart at up to twice that
+# [m/s^3]; growth of the acceleration with which a contact that began inside pushes out. Unbounded, contacts that push
+# against one another squeeze a body until it springs away, at 40 m/s if of 1e8 Pa. It grows until any load is lifted.
+GENTLE_GROWTH = 1000.0
 # [body mass / dt^2] with which a shape meets a vertex in VBD, on top of the force it had: a push grows to
 # its full size over a few sweeps. At once, the corner of a light stiff body would be held against the motion of the
 # whole body before the sweeps have told the body, and store more energy than the body has. What rests is not affected.
@@ -40,6 +46,16 @@ def min_normal_motion(phi, dt):
     elif gap < -CONTACT_SLOP:
         result = ti.min((-gap - CONTACT_SLOP) / RECOVERY_TIME, MAX_RECOVERY_SPEED) * dt
     return result
+
+
+@ti.func
+def gentle_normal_motion(phi, free, time, dt):
+    """The same of a contact that began inside `time` [s] ago, and would move by `free` [m] if it did not push.
+
+    It is held where it is, or goes out slowly.
+    """
+    most = ti.min(free + GENTLE_GROWTH * time * dt * dt, GENTLE_SPEED * dt)
+    return ti.min(min_normal_motion(phi, dt), ti.max(most, 0.0))
 
 
 @ti.func

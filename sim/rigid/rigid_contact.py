@@ -10,8 +10,8 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup
 from core.lanes import from_lane, lane_count, max_lanes, rank_lanes, sync_lanes, vector_from_lane
-from sim.contact.constraints import SETTLED
-from sim.contact.response import isotropic_contact_impulse, min_normal_motion
+from sim.contact.constraints import GENTLE, SETTLED
+from sim.contact.response import GENTLE_SPEED, isotropic_contact_impulse, min_normal_motion
 from sim.contact.static_shapes import MAX_SHAPES, known
 from sim.rigid.rigid_bodies import SOFT
 from sim.rigid.rigid_broad_phase import WORLD, RigidBroadPhase, bodies_of_group
@@ -68,8 +68,10 @@ class RigidContacts:
     @ti.func
     def activate(self, r, usable, integrator: ti.template()):
         """Activate a constraint of a group as ContactConstraints does; the first that carries a load counts for all."""
-        g, loaded = self.search.group_of(r - self.begin), False
+        g, loaded, gentle = self.search.group_of(r - self.begin), False, False
         if usable:
+            table = self.constraints
+            gentle = table.is_gentle(r, table.phi[r], table.impulse[r].norm_sqr() > 0.0)
             loaded = self._carries_load(r, g, self.constraints.relative_motion(r, 0, integrator))
         if loaded:
             a, b = bodies_of_group(g)
@@ -77,7 +79,7 @@ class RigidContacts:
                 ti.atomic_add(self.rigid_bodies.split_count[a], 1)
                 if b != WORLD:
                     ti.atomic_add(self.rigid_bodies.split_count[b], 1)
-        self.constraints.set_active(r, usable, loaded)
+        self.constraints.set_active(r, usable, loaded, gentle and loaded)
 
     @ti.func
     def _carries_load(self, r, g, y):
@@ -111,6 +113,8 @@ class RigidContacts:
         """
         dt = self.state.dt[None]
         y_n = min_normal_motion(self.constraints.phi[r], dt)
+        if self.constraints.active[r] >= GENTLE:
+            y_n = ti.min(y_n, GENTLE_SPEED * dt)
         if self.search.bounce_speed[q] > 0.0:
             y_n = self.search.bounce_speed[q] * dt
             if self.impact_left[q] == IMPACT_SUBSTEPS:
@@ -238,7 +242,7 @@ class RigidContacts:
             q, loaded = -1, 0
             if first + lane < f.size[g]:
                 q = f.entry[f.group_begin[g] + first + lane]
-                loaded = self.constraints.active[self.begin + q]
+                loaded = ti.cast(self.constraints.active[self.begin + q] != 0, ti.i32)
             before, total = rank_lanes(loaded, lane, ti.static(self.lanes))
             if loaded:
                 f.loaded[f.group_begin[g] + count + before] = q

@@ -243,10 +243,10 @@ def test_what_starts_inside_comes_out_slowly(world):
     restart(world, places={name: x + np.array(p) for name, p in places.items()})
     for _ in range(60):
         world.step(DT, [])
-        assert max(speed(world, name) for name in places) < 4.0  # 2.3 to 3.7 by differences of 1e-6 m
+        assert max(speed(world, name) for name in places) < 1.2
     assert min(state(world, name).low[1] for name in ("box", "grid")) > TOP - 1e-3
     assert state(world, "high").low[1] > state(world, "low").high[1] - 2e-3
-    assert max(np.linalg.norm(state(world, name).velocity) for name in places) < 1.5  # they spring back, too
+    assert max(np.linalg.norm(state(world, name).velocity) for name in places) < 0.5  # they spring back, too
 
 
 def linked(ring):

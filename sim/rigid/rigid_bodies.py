@@ -329,7 +329,7 @@ class RigidShapes:
         """Take the shapes of these bodies."""
         shapes = model.shapes
         half = [s.vertices.max(0) if s.boxed else np.zeros(3) for s in shapes]
-        outward = [s.once(outward_of, self.samples.spacing) for s in shapes]
+        outward = [s.root.once(outward_of, self.samples.spacing) for s in shapes]
         self._upload([[s.boxed for s in shapes], half, np.concatenate([np.zeros((0, 3)), *outward])])
 
     @ti.func

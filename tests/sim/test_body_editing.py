@@ -205,6 +205,17 @@ def test_a_scaled_body_hangs_four_times_as_far_and_rests_on_its_own_skin(ti_cpu)
         assert length - rest == pytest.approx(1000 * 9.81 * rest**2 / (2 * young), rel=0.02)
 
 
+def test_a_scaled_body_keeps_its_samples_and_their_depth_grows_with_it(solver):
+    grid = rest_grid(FINE.vertices, FINE.tets, FINE.surface, nodes=12)
+    k, samples = solver.add(replace(FINE, sdf=replace(grid, values=grid.values + 0.001))), solver.contacts.samples
+    ids, weights, skin = samples.host_ids, samples.host_weights, samples.skin.to_numpy()
+    assert skin.max() == pytest.approx(0.001, rel=1e-3)
+    solver.rescale(k, 2.5)
+    assert_array_equal(samples.host_ids, ids)
+    assert_array_equal(samples.host_weights, weights)
+    assert_allclose(samples.skin.to_numpy(), 2.5 * skin, rtol=1e-6)
+
+
 def test_undo_is_exact(solver):
     run(solver, 4, Hand((0.0, 0.12, 0.0), grip=True))
     before = solver.snapshot()
@@ -286,7 +297,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(solver):
     before = solver.snapshot()
     for edit, what in (
         (lambda: solver.add(cube("big", 0.1, 12)), "no room for .* vertices"),
-        (lambda: solver.rescale(0, 20.0), "no room for .* samples"),
+        (lambda: solver.add(cube("large", 2.0, 1)), "no room for .* samples"),
         (lambda: solver.set_material(0, replace(JELLY, young=-1.0)), "young"),
         (lambda: solver.set_material(0, replace(JELLY, young=1e14)), "too stiff"),
         (lambda: solver.rescale(1, 0.0), "scaled"),

@@ -334,7 +334,7 @@ class Solver:
     def rescale(self, i: int, factor: float, *, about=None) -> None:
         """Make body i `factor` times as large about its centre of mass, or a point; velocities stay.
 
-        Mass, stiffness bounds and distance grid follow; contact samples stay. Hands go on holding the same vertices.
+        Mass, stiffness bounds, distance grid and contact samples follow. Hands go on holding the same vertices.
         """
         models, motions, rests, grasps = self._in_motion()
         i = body_index(i, models)

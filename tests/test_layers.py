@@ -28,8 +28,8 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_895, "assets": 5_040, "scenes": 2_220, "sim": 10_958, "render": 3_505, "prepare": 15_493,
-    "display": 13_845, "commands": 4_647, "bench": 3_450, "installer": 200, "tests": 36_837,
+    "core": 2_895, "assets": 5_040, "scenes": 2_220, "sim": 10_966, "render": 3_505, "prepare": 15_493,
+    "display": 13_843, "commands": 4_647, "bench": 3_450, "installer": 200, "tests": 36_842,
 }  # fmt: skip
 MOST_FILES = 310  # of the product
 

@@ -8,6 +8,7 @@ a fresh machine: set TI_OFFLINE_CACHE_FILE_PATH to an empty folder.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,7 @@ from core.vocabulary import Hand, Touch
 from display import user_commands as cmd
 from display.keep.scene_state import state_of
 from display.keep.state_file import write_state
+from display.world import World
 from display.xr import wrist_panel as wrist
 from scenes import registry
 
@@ -44,7 +46,7 @@ def run(*, names: list[str], size: tuple[int, int]) -> Iterator[dict]:
     for name in names or [*registry.names(), *registry.rooms()]:
         play = StereoPlay(registry.load(name), size, reserve=[ADDED])
         with TemporaryDirectory() as folder:
-            for act, frames in acts(play, Path(folder) / "hitches.state.h5"):
+            for act, frames in acts(play, name, Path(folder) / "hitches.state.h5"):
                 row = {"bench": "hitches", "scene": name, "act": act, **measured(play, frames)}
                 row["arch"] = str(ti.cfg.arch).removeprefix("Arch.")
                 print(line(row), flush=True)
@@ -79,23 +81,23 @@ def line(row: dict) -> str:
     return f"{row['scene']:22} {row['act']:10} {row['frames']:6} {row['worst_ms']:9.1f}  {cause}{compiled}{late}"
 
 
-def acts(play: StereoPlay, path: Path) -> Iterator[tuple[str, Iterable[Act]]]:
-    """Each act's name, and its frames; `path` is where the state is saved."""
+def acts(play: StereoPlay, name: str, path: Path) -> Iterator[tuple[str, Iterable[Act]]]:
+    """Each act's name, and its frames, in the scene of this name; `path` is where the state is saved."""
     world = play.world
     yield "rest", still(REST)
     if world.bodies():
         yield "touch", touching(play)
         yield "grasp", grasping(play)
         yield "scale", scaling(play)
-        yield "add", still(REST, lambda: world.editor.add(ADDED, ADDED))
-        yield "copy", still(REST, cmd.Duplicate(0))
         yield "resize", still(REST, cmd.Rescale(0, 0.9))
         yield "material", still(REST, cmd.SetMaterial(0, "rubber"))
+        yield "add", joining(world)
+        yield "copy", still(REST, cmd.Duplicate(0))
         yield "undo", still(REST, cmd.Undo())
-        yield "save", still(REST, lambda: write_state(path, state_of(world, {})))
+        yield "save", still(REST, lambda: write_state(path, state_of(world, {"scene": name})))
         yield "load", still(REST, cmd.LoadState(str(path)))
-    for name, buttons in (("panel", PANEL), ("menu", MENU)):
-        yield name, panelled(play, buttons)
+    yield "panel", panelled(play, PANEL)
+    yield "menu", panelled(play, MENU)
     if world.light is not None:
         x, y, z = world.light.position
         yield "light", still(REST, cmd.SetLight(replace(world.light, position=(x + 0.2, y, z))))
@@ -105,6 +107,15 @@ def acts(play: StereoPlay, path: Path) -> Iterator[tuple[str, Iterable[Act]]]:
 def still(frames: int, *given) -> Iterable[Act]:
     """Frames with open hands, the commands in the first."""
     return [([Hand(), Hand()], *given), *[([Hand(), Hand()],)] * (frames - 1)]
+
+
+def joining(world: World) -> Iterator[Act]:
+    """A body is read on a thread, as a play does it, and joins."""
+    with ThreadPoolExecutor(1) as reader:
+        body = reader.submit(world.editor.prepared, ADDED, ADDED)
+        while not body.done():
+            yield ([Hand(), Hand()],)
+    yield from still(REST, lambda: world.editor.add(body.result()))
 
 
 def panelled(play: StereoPlay, buttons: Iterable[str]) -> Iterator[Act]:

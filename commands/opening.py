@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+from concurrent.futures import Future
 from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -29,7 +30,8 @@ ENDING_PATIENCE = 5.0  # [s] for a process that is asked to end
 class Opening:
     """A request under way: its files are prepared one after the other. `poll` until it is ready, or `close` it.
 
-    `options`: those of the play with the request carried out. Raises BadInput for a missing file.
+    `options`: those of the play with the request carried out; `joining`: what is read of a body that is to be added,
+    once its file is prepared. Raises BadInput for a missing file.
     """
 
     def __init__(self, request: Command, options: PlayOptions):
@@ -41,6 +43,7 @@ class Opening:
             files.append((Path(self.options.stage), True))
         self._waiting = [(path, room) for path, room in files if not is_prepared(path, self.options, room=room)]
         self._now: BackgroundPreparation | None = None
+        self.joining: Future | None = None
 
     @property
     def text(self) -> str:

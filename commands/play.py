@@ -8,6 +8,7 @@ import itertools
 import sys
 from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -338,6 +339,7 @@ class Session:
         self.film, self.recording, self.study, self.keeper, self.sound = film, recording, study, keeper, sound
         self._world_options, self._count = world_options, 0
         self._opening: Opening | None = None
+        self._reader = ThreadPoolExecutor(1)  # of bodies that join
         self._requests: deque[Command] = deque()  # what is opened after that
         self._planned: Planned | None = None
         self._preferences = preferences
@@ -466,7 +468,7 @@ class Session:
                 self._opening = Opening(self._requests.popleft(), self.options)
             if self._opening is None:
                 return
-            if not self._opening.poll():
+            if not self._opening.poll() or not self._is_read(self._opening):
                 self.world.opening = self._opening.text
                 return
             self._carry_out(self._opening)
@@ -474,16 +476,23 @@ class Session:
             self.world.tell(str(e))
         self._opening, self.world.opening = None, ""
 
+    def _is_read(self, opening: Opening) -> bool:
+        """True once a body that is to be added has been read, on a thread: it takes longer than a frame."""
+        if isinstance(opening.request, AddBody) and opening.joining is None:
+            editor, name = self.world.editor, Path(opening.request.path).stem
+            opening.joining = self._reader.submit(lambda: editor.prepared(opening.body(), name))
+        return opening.joining is None or opening.joining.done()
+
     def _carry_out(self, opening: Opening) -> None:
         from display.scene_bodies import load_bodies
         from sim.model import CapacityError
 
         match opening.request:
             case AddBody() as request:
-                asset, name = opening.body(), Path(request.path).stem
                 try:
-                    self.world.editor.add(asset, name)
+                    self.world.editor.add(opening.joining.result())
                 except CapacityError:
+                    asset, name = opening.body(), Path(request.path).stem
                     self._planned = Planned(self.options, self.world.scene, (*self.world.registry.guests, asset), name)
             case OpenScene() | SwapRoom():
                 scene = load_scene(opening.options)
@@ -517,7 +526,8 @@ class Session:
         elif planned.joins:
             self._resume(*state)
             try:
-                self.world.editor.add(planned.reserve[-1], planned.joins)
+                editor = self.world.editor
+                editor.add(editor.prepared(planned.reserve[-1], planned.joins))
             except BadInput as e:
                 self.world.tell(str(e))
 

@@ -199,10 +199,8 @@ def pieces_of(asset: str, name: str = "") -> list[Piece]:
 
 def put_over(pieces: Sequence[Piece], scene: Scene, bodies: Sequence[BodyState]) -> list[Piece]:
     """The pieces over the middle of the play, clear of its bodies; animated ones stand beside them."""
-    from scenes.roles import bounds  # here: most plays need no roles
-
-    placed = pieces[0].placed
-    low, high = bounds(placed.asset, placed)
+    x = np.concatenate([p.body.vertices for p in pieces]).astype(np.float64)
+    low, high = x.min(0), x.max(0)
     spot = np.array(scene.room.spot if scene.room is not None else scene.target, np.float64)
     foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     if any(p.animation is not None for p in pieces):

@@ -15,12 +15,14 @@ from core.material import Material
 from core.rotation import best_fit_rotation, quaternions_from_matrices
 from core.vocabulary import BodyState, Hand
 from sim.bodies import RigidBody, SoftBody
+from sim.contact.contact_samples import skin_of
 from sim.contact.static_shapes import Shape
 from sim.contacts import Contacts
 from sim.elastic.damping import Damping
 from sim.elastic.energy import Elasticity
+from sim.elastic.modal_correction import body_modes
 from sim.elastic.plastic_flow import INTERVAL, PlasticFlow, checked_rest_shapes
-from sim.elastic.vbd import VBDSubsteps
+from sim.elastic.vbd import VBDSubsteps, body_colors
 from sim.elastic.vbd_persistent import PersistentVBD
 from sim.elastic.xpbd import PersistentXPBD, XPBDSubsteps
 from sim.hands.grasp import Grasps, GraspState, RigidGrasp
@@ -284,12 +286,21 @@ class Solver:
         """Add a body at its start; return its index."""
         return self.add_all([body])
 
-    def add_all(self, bodies: Sequence[SoftBody | RigidBody]) -> int:
-        """Add bodies at their start, all or none; return the index of the first."""
+    def derived(self, body: SoftBody | RigidBody, known: Sequence[BodyModel] = ()) -> BodyModel:
+        """A body with the tables that take long, as `known` ones have them; a thread may do it, on the host alone."""
+        model = BodyModel.of(body, list(known))
+        body_colors(Model([model]))
+        body_modes(Model([model]))
+        if self.contacts is not None:
+            model.shape.root.once(skin_of, self.contacts.samples.spacing)
+        return model
+
+    def add_all(self, bodies: Sequence[SoftBody | RigidBody], known: Sequence[BodyModel] = ()) -> int:
+        """Add bodies at their start, all or none, some of them like `known` ones; return the index of the first."""
         models, motions, rests, grasps = self._in_motion()
         first = len(models)
         for body in bodies:
-            models.append(BodyModel.of(body, models))
+            models.append(BodyModel.of(body, [*known, *models]))
         starts = [m.start for m in models[first:]]
         self._change(models, [*motions, *starts], [*rests, *(None for _ in starts)], grasps)
         return first

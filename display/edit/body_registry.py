@@ -24,6 +24,8 @@ from sim.model import MAX_BODIES, BodyModel, CapacityError
 FULL_NOTICE = "There is no capacity for that: remove something first."
 REMOVED_X = 1e3  # [m] where the game sees a body that was removed
 T = TypeVar("T")
+Look = tuple[np.ndarray, np.ndarray, np.ndarray]  # see Splats.read
+Source = tuple[PackedBody, Look, BodyModel]  # what a body looks like, and its model
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class BodyRegistry:
         self.scene_models = device.solver.body_models
         self._scene_members = self.members = tuple(Member(k) for k in range(len(self.scene_models)))
         self._packed: list[PackedBody] | None = None
-        self._looks: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # see Splats.read
+        self._looks: list[Look] = []
         self.animated = {a.body: a for a in device.animations}  # of each source that has one, at any place and time
         self.source_models = list(self.scene_models)  # of all that a body can look like: the scene's, then those added
         self.added: dict[str, list[int]] = {}  # sources of the assets that joined, after those of the scene
@@ -103,16 +105,17 @@ class BodyRegistry:
 
     # edits
 
-    def add(self, pieces: Sequence[Piece]) -> int:
-        """Let the pieces of an asset join; returns the index of the first."""
-        sources = self.sources_of(pieces)
+    def add(self, pieces: Sequence[Piece], derived: Sequence[Source] = ()) -> int:
+        """Let the pieces of an asset, with what is derived of them, join; returns the index of the first."""
+        sources = self.sources_of(pieces, derived)
         members = (*self.members, *(Member(source, copy=True) for source in sources))
 
         def add() -> int:
             if len(members) > MAX_BODIES:
                 raise BadInput(f"There are {len(self.members)} bodies, as many as there can be.")
             self._check(members)
-            return self.device.solver.add_all([piece.body for piece in pieces])
+            known = [self.source_models[source] for source in sources]
+            return self.device.solver.add_all([piece.body for piece in pieces], known)
 
         first = self._with_capacity(add)
         for k, piece in enumerate(pieces):
@@ -120,21 +123,31 @@ class BodyRegistry:
         self._show(members)
         return first
 
-    def sources_of(self, pieces: Sequence[Piece]) -> list[int]:
+    def derived(self, pieces: Sequence[Piece]) -> list[Source]:
+        """What a play needs of pieces that it has not seen; a thread may do it, on the host alone."""
+        if pieces[0].placed.asset in self.added:
+            return []
+        device, result = self.device, []
+        for piece in pieces:
+            sh = fitted_harmonics(piece.part.gaussians, device.splats.coefficients)
+            opacity = piece.part.gaussians.opacities.astype(np.float32)
+            model = device.solver.derived(piece.body, self.source_models)
+            result.append((device.embedding.packed(piece.part), (opacity, sh, np.ones_like(opacity)), model))
+        return result
+
+    def sources_of(self, pieces: Sequence[Piece], derived: Sequence[Source] = ()) -> list[int]:
         """Indices of what these pieces look like, which is kept on the host."""
         self._read()
         asset = pieces[0].placed.asset
         if asset not in self.added:
             device, first = self.device, len(self._packed)
-            for piece in pieces:
-                self._packed.append(device.embedding.packed(piece.part))
-                sh = fitted_harmonics(piece.part.gaussians, device.splats.coefficients)
-                opacity = piece.part.gaussians.opacities.astype(np.float32)
-                self._looks.append((opacity, sh, np.ones_like(opacity)))
+            for piece, (packed, look, model) in zip(pieces, derived or self.derived(pieces), strict=True):
+                self._packed.append(packed)
+                self._looks.append(look)
                 device.parts.append(piece.part)
                 for animation in piece.targets(0):
                     self.animated[len(self.source_models)] = animation
-                self.source_models.append(BodyModel.of(piece.body, self.source_models))
+                self.source_models.append(model)
             self.added[asset] = list(range(first, first + len(pieces)))
         return self.added[asset]
 

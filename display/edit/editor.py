@@ -14,10 +14,10 @@ from core.errors import BadInput
 from core.rotation import best_fit_rotation, matrices_from_quaternions, pose_matrix
 from core.vocabulary import Body, BodyState, Box, Hand
 from display import user_commands as cmd
-from display.edit.body_registry import BodyRegistry
+from display.edit.body_registry import BodyRegistry, Source
 from display.edit.selection_marker import MARKED_SECONDS
 from display.protocol import Notice
-from display.scene_bodies import pieces_of, put_over
+from display.scene_bodies import Piece, pieces_of, put_over
 from scenes.scene import Scene
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2, "turn room": 2}  # frames without such a command that end its drag
 SELECTING = (cmd.Select, cmd.Duplicate, cmd.Rescale, cmd.Rotate, cmd.Place, cmd.SetMaterial)  # what is marked then
+Joining = tuple[list[Piece], list[Source]]  # the pieces of a body that is to join, and what is derived of them
 SETTINGS = ("light", "gravity", "time_scale")  # of the world: an undo of one leaves the bodies where they are
 FARTHEST = 100.0  # [m] that a body can be moved at once
 BOX_SLACK = 0.05  # of a body's size, about its bounding box: its Gaussians reach over its cage
@@ -174,12 +175,18 @@ class Editor:
         self._world.refresh()
         return result
 
-    def add(self, asset: str, name: str) -> None:
-        """Put a body made of an asset over the play. Raises BadInput: CapacityError where a larger world is needed."""
+    def prepared(self, asset: str, name: str) -> Joining:
+        """Read a body made of an asset, for `add`; a thread may do it while the play goes on. Raises BadInput."""
+        pieces = pieces_of(asset, name)
+        return pieces, self._bodies.derived(pieces)
+
+    def add(self, joining: Joining) -> None:
+        """Put a prepared body over the play. Raises BadInput: CapacityError where a larger world is needed."""
         if not self._bodies.members:
             raise BadInput("Nothing can be added to a scene without bodies.")
-        pieces = put_over(pieces_of(asset, name), self._world.scene, self._world.bodies())
-        self.selected = self.edit("add", lambda: self._bodies.add(pieces))
+        pieces, derived = joining
+        pieces = put_over(pieces, self._world.scene, self._world.bodies())
+        self.selected = self.edit("add", lambda: self._bodies.add(pieces, derived))
         self._selected_until = monotonic() + MARKED_SECONDS
 
     def _rescale(self, k: int, wanted: float) -> None:

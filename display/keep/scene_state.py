@@ -162,7 +162,8 @@ def sources_of(world: World, state: SceneState, where: str) -> list[int]:
     for asset, name, saved in state.added:
         if digest(asset) != saved:
             raise BadInput(f"{where}: was saved with another {Path(asset).name}")
-        sources += world.registry.sources_of(pieces_of(asset, name))
+        known = world.registry.added.get(asset)  # as the file is: to read it again takes longer than a frame
+        sources += known or world.registry.sources_of(pieces_of(asset, name))
     return sources
 
 

@@ -78,7 +78,7 @@ class ModalCorrection:
 
     def load(self, model: Model) -> None:
         """Take the modes of these bodies."""
-        modes = [modes_of(p.shape, tuple((p.inv_mass == 0.0).tolist()), p.material) for p in model.bodies]
+        modes = body_modes(model)
         U = np.zeros((MODES, model.sizes.vertices, 3), np.float32)
         for (shape, _), begin in zip(modes, model.vertex_begin, strict=False):
             U[:, begin : begin + len(shape)] = shape.transpose(1, 0, 2)
@@ -400,6 +400,11 @@ def motions_of(shape: RestShape, pinned: tuple) -> LatticeMotions:
 def unit_modes_of(shape: RestShape, pinned: tuple, poisson: float) -> tuple[np.ndarray, np.ndarray]:
     """softest_modes of a shape at 1 kg/m^3 and mu = 1 Pa."""
     return softest_modes(shape.once(motions_of, pinned), 1.0, 2 * poisson / (1 - 2 * poisson))
+
+
+def body_modes(model: Model) -> list[tuple[np.ndarray, np.ndarray]]:
+    """softest_modes of each body."""
+    return [modes_of(p.shape, tuple((p.inv_mass == 0.0).tolist()), p.material) for p in model.bodies]
 
 
 def modes_of(shape: RestShape, pinned: tuple, material: Material) -> tuple[np.ndarray, np.ndarray]:

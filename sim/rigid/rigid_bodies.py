@@ -22,7 +22,7 @@ from core.fields import FieldGroup, Upload, two_sum
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
 from sim.bodies import RigidBody
 from sim.contact.constraints import STEPS_PER_METER
-from sim.contact.contact_samples import ContactSamples, points_of
+from sim.contact.contact_samples import ContactSamples, points_of, root_spacing
 from sim.contact.response import CONTACT_SLOP
 from sim.contact.static_shapes import UNKNOWN_DISTANCE, DistanceGrids, box_distance
 from sim.elastic.substep import Constraint
@@ -329,7 +329,7 @@ class RigidShapes:
         """Take the shapes of these bodies."""
         shapes = model.shapes
         half = [s.vertices.max(0) if s.boxed else np.zeros(3) for s in shapes]
-        outward = [s.once(outward_of, self.samples.spacing) for s in shapes]
+        outward = [s.root.once(outward_of, root_spacing(s, self.samples.spacing)) for s in shapes]
         self._upload([[s.boxed for s in shapes], half, np.concatenate([np.zeros((0, 3)), *outward])])
 
     @ti.func

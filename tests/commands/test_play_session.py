@@ -2,6 +2,7 @@
 
 import sys
 import time
+from concurrent.futures import Future
 from types import SimpleNamespace
 
 import numpy as np
@@ -57,7 +58,11 @@ class EmptyWorld(FakeView):
     def guests(self):
         return [asset for asset, _ in self.added]
 
-    def add(self, asset, name=""):
+    def prepared(self, asset, name):
+        return asset, name
+
+    def add(self, joining):
+        asset, name = joining
         if asset == "large" and asset not in self.reserve:
             raise CapacityError("no capacity")
         self.added.append((asset, name))
@@ -70,6 +75,18 @@ class EmptyWorld(FakeView):
 
     def close(self):
         self.closed = True
+
+
+class Immediately:
+    """An executor in place of a thread's."""
+
+    def __init__(self, threads):
+        pass
+
+    def submit(self, work):
+        done = Future()
+        done.set_result(work())
+        return done
 
 
 class ScriptedDisplay:
@@ -112,6 +129,7 @@ def session(monkeypatch):
     monkeypatch.setattr(playing, "end_taichi", lambda: None)
     monkeypatch.setattr(playing, "start_taichi", lambda arch, seed: None)
     monkeypatch.setattr("display.scene_bodies.load_bodies", lambda scene: None)
+    monkeypatch.setattr(playing, "ThreadPoolExecutor", Immediately)
     monkeypatch.setattr("commands.opening.check_name", lambda name, playing: None)
     monkeypatch.setattr("commands.opening.is_asset", lambda name: True)
     return begin

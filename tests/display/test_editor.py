@@ -1,5 +1,6 @@
 """Copies, sizes, turns and undo in a running world: bodies and picture stay one, the game does not notice; marks."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace as N
 
@@ -418,7 +419,7 @@ def test_a_body_of_the_users_joins_over_the_play_and_can_be_taken_back(play):
     world, before = play.world, play.motion()
     with compiled() as kernels:
         world.editor.begin_frame()
-        world.editor.add("ball", "my ball")
+        world.editor.add(world.editor.prepared("ball", "my ball"))
         play.step(2)
     assert kernels == []
     new = world.bodies()[2]
@@ -437,6 +438,30 @@ def test_a_body_of_the_users_joins_over_the_play_and_can_be_taken_back(play):
     assert [b.name for b in world.bodies()][2:] == ["my ball"]
     play.do(cmd.Reset())
     assert len(world.bodies()) == 2
+
+
+def test_a_body_that_was_read_on_a_thread_joins_without_being_measured(play, monkeypatch):
+    """What takes longer than a frame is done by then."""
+
+    def late(*_, **__):
+        raise AssertionError("too late")
+
+    play.do(cmd.SetMaterial(RED, "rubber"))  # so stiff that the other integrator takes over, and knows the rings
+    editor = play.world.editor
+    with ThreadPoolExecutor(1) as thread:
+        joining = thread.submit(editor.prepared, "ball", "my ball").result()
+    for name in (
+        "sim.embedding.pack", "assets.asset.Asset.load", "sim.contact.contact_samples.surface_points",
+        "sim.contact.contact_samples.skin_depth", "sim.elastic.modal_correction.lattice_motions",
+        "sim.elastic.vbd.color_vertices",
+    ):  # fmt: skip
+        monkeypatch.setattr(name, late)
+    editor.begin_frame()
+    editor.add(joining)
+    play.step(2)
+    play.do(cmd.SetMaterial(2, "rubber"))
+    assert not play.world.notice and [b.name for b in play.world.bodies()][2:] == ["my ball"]
+    play.do(cmd.Reset())
 
 
 def test_the_oldest_steps_are_forgotten_and_a_new_action_ends_what_could_be_done_again():

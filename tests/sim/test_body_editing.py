@@ -13,6 +13,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Box, Hand
 from sim.bodies import SoftBody
+from sim.contact.contact_samples import root_spacing
 from sim.contact.static_shapes import DistanceGrids, grid_of, rest_grid
 from sim.model import BodyModel, Capacity, RestShape
 from sim.solver import Solver
@@ -203,6 +204,19 @@ def test_a_scaled_body_hangs_four_times_as_far_and_rests_on_its_own_skin(ti_cpu)
         length = solver.bodies()[0].high[1] - solver.bodies()[0].low[1]
         rest = np.ptp(solver.body_models[0].shape.vertices[:, 0])
         assert length - rest == pytest.approx(1000 * 9.81 * rest**2 / (2 * young), rel=0.02)
+
+
+def test_a_body_keeps_its_samples_until_it_is_much_larger_and_their_depth_grows_with_it(solver):
+    grid = rest_grid(FINE.vertices, FINE.tets, FINE.surface, nodes=12)
+    k, samples = solver.add(replace(FINE, sdf=replace(grid, values=grid.values + 0.001))), solver.contacts.samples
+    ids, weights, skin = samples.host_ids, samples.host_weights, samples.skin.to_numpy()
+    assert skin.max() == pytest.approx(0.001, rel=1e-3)
+    solver.rescale(k, 1.4)
+    assert_array_equal(samples.host_ids, ids)
+    assert_array_equal(samples.host_weights, weights)
+    assert_allclose(samples.skin.to_numpy(), 1.4 * skin, rtol=1e-6)
+    for factor, same in ((0.3, 1.0), (1.4, 1.0), (1.5, 0.5), (2.8, 0.5), (3.0, 0.25)):
+        assert root_spacing(BodyModel.of(FINE, []).shape.scaled(factor), 1.0) == same
 
 
 def test_undo_is_exact(solver):

@@ -90,7 +90,7 @@ def test_halves_that_meet_do_not_pass(bar):
         depths, _ = listed(bar)
         deepest, met = max(deepest, depths.max(initial=0.0)), met or len(depths) > 0
         assert apart(vertices_of(bar)[0]) > 0.0
-    assert met and deepest < 0.3 * EDGE, deepest
+    assert met and deepest < 0.1 * EDGE, deepest  # four times as deep if they were taken for what began inside
     for _ in range(120):
         bar.step(DT, [])
     x = vertices_of(bar)[0]

@@ -350,17 +350,20 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
 
 def limit_of(problem: MaterialProblem, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """How the parameters move (P,) where the cage is so fine that its size does not matter, and how far what is held
-    leaves them open to both sides (P,); 0 for a large cage.
+    leaves them open to both sides (P,).
 
-    The motion is fitted once more with the cage cut in eight, by steps with the derivatives of the cage as it is, from
-    the Young's modulus at which the slowest mode is as fast. Errors of linear tets fall with the square of their edges:
-    a third of what this cut changes is left. A box in a picture does not show exactly where the held part ends: it is
-    made wider and narrower as long as the motion fits almost as well, and what lies between is as likely.
+    The motion is fitted once more with the cage cut in eight, a large one as it is, by steps with the derivatives of
+    the first fit, from the Young's modulus at which the slowest mode is as fast. Errors of linear tets fall with the
+    square of their edges: a third of what this cut changes is left. A box in a picture does not show exactly where the
+    held part ends: it is made wider and narrower as long as the motion fits almost as well, and what lies between is
+    as likely.
     """
     cage, tracks, theta = problem.cage, problem.tracks, fitted.theta
-    if len(cage.vertices) > MOST_REFINED:
+    large, boxed = len(cage.vertices) > MOST_REFINED, tracks.camera is not None and len(cage.held) > 0
+    if large and not boxed:
         return np.zeros_like(theta), np.zeros_like(theta)
-    x, tets, W = subdivided(cage.vertices, cage.tets)
+    as_it_is = cage.vertices, cage.tets, sp.identity(len(cage.vertices), format="csr")
+    x, tets, W = as_it_is if large else subdivided(cage.vertices, cage.tets)
     fine = CageOfMarkers(x, tets, cage.held, marker_weights(x, tets, tracks.rest, problem.where))
 
     def stiffness(held: np.ndarray) -> float:
@@ -382,7 +385,7 @@ def limit_of(problem: MaterialProblem, fitted: Fitted) -> tuple[np.ndarray, np.n
 
     same = np.flatnonzero(np.asarray((W[:, cage.held] if len(cage.held) else W[:, :0]).sum(1)).ravel() > 0.999)
     held, begin = [same], 0
-    if tracks.camera is not None and len(cage.held):
+    if boxed:
         begin = BORDERS
         held = [np.flatnonzero(tracks.is_held(x, W @ problem.x0, BORDER * k)) for k in range(-BORDERS, BORDERS + 1)]
     slowest, level, first = stiffness(same), np.log(problem.shape.stiffness[0]), np.eye(len(theta))[0]

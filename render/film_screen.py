@@ -42,6 +42,7 @@ class FilmScreen:
         self.colours = f.vector(*screen.pictures.reshape(-1, self.pixels, 3).shape[:2], dtype=ti.u8)
         f.build()
         self.colours.from_numpy(screen.pictures.reshape(-1, self.pixels, 3))
+        self._colour(0)  # compiled before the play
 
     def show(self, time: float) -> bool:
         """Show the picture nearest to a moment [s] since the film began; returns whether it is another."""

@@ -258,7 +258,8 @@ class Contacts(Constraint):
             if ti.static(self.coupled):
                 self.rigid.activate(r, usable, integrator)
         elif ti.static(self.soft or self.has_fingers):
-            self.constraints.activate(r, usable, integrator)
+            a, b = self.bodies_of(r)
+            self.constraints.activate(r, usable, a == b or b == FINGER, integrator)
 
     @ti.func
     def _grouped(self, r):

@@ -21,6 +21,7 @@ import taichi as ti
 from core.fields import FieldGroup
 from sim.contact.response import (
     INSIDE,
+    MAX_RECOVERY_SPEED,
     UNBOUNDED,
     fingertip_spring,
     gentle_normal_motion,
@@ -126,14 +127,20 @@ class ContactConstraints:
         self.body[r, e], self.sign[r, e], self.lever_arm[r, e] = b, sign, x - self.rigid_bodies.x[b]
 
     @ti.func
-    def activate(self, r, usable, integrator: ti.template()):
-        """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to."""
+    def activate(self, r, usable, alone, integrator: ti.template()):
+        """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to.
+
+        What a body does to itself (`alone`), or a finger to it, does not begin inside.
+        """
         pushed = self.impulse[r].norm_sqr() > 0.0
-        gentle = usable and self.is_gentle(r, self.phi[r], pushed)
-        loaded = gentle or (usable and pushed)
+        gentle = usable and not alone and self.is_gentle(r, self.phi[r], pushed)
+        loaded = usable and pushed
         if usable and not loaded:
             y_n = self.normal[r].dot(self.relative_motion(r, 0, integrator))
             loaded = y_n < min_normal_motion(self.phi[r], self.state.dt[None])
+            if self.active[r] < GENTLE:  # what comes fast was outside before
+                gentle = gentle and y_n > -MAX_RECOVERY_SPEED * self.state.dt[None]
+            loaded = loaded or gentle
         if loaded:
             if ti.static(self.unrolled):
                 for e in ti.static(range(MAX_VERTICES)):

@@ -145,7 +145,7 @@ def test_points_of_the_surface_are_followed(block, clip, masks, moving):
     assert np.sqrt(np.nanmean(off**2)) < 0.6 and np.sqrt(np.nanmean((off - np.nanmean(off, 0)) ** 2)) < 0.3  # [px]
     assert 0.005 < noise_of(tracks) / tracks.metres < 0.3
     assert np.linalg.norm(tracks.start - moving[0], axis=1).max() < 0.01
-    assert 9 <= tracks.is_held(x).sum() < len(x)
+    assert 9 <= tracks.is_held(x, tracks.start).sum() < len(x)
     shown = mask_pictures(shot, tracks)
     assert len(shown) == 6 and all(p.shape == clip.pictures[0].shape for p in shown.values())
 
@@ -168,7 +168,7 @@ def test_a_second_camera_shows_the_depth_that_one_does_not(block, clip, moving, 
     assert near < 0.7 * off
     assert len(both.times) == 2 * len(TIMES) and np.bincount(both.camera.of).min() > 10
     assert 0.005 < noise_of(both) / both.metres < 0.3 and start_of(both)[2].mean() > 0.9
-    assert 9 <= both.is_held(block.cage.vertices.astype(float)).sum() < len(moving[0])
+    assert 9 <= both.is_held(block.cage.vertices.astype(float), both.start).sum() < len(moving[0])
 
 
 def test_a_marker_that_is_covered_for_a_moment_is_found_again_and_one_that_strays_is_not():

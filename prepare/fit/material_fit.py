@@ -328,7 +328,12 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
             " are rest, held, planes and the units right?"
         )
     progress("interval", 0.2)
-    limit = keep("cage", lambda: dict(zip(("shift", "spread"), limit_of(problem, fitted), strict=True)))
+
+    def vary() -> dict[str, np.ndarray]:
+        shift, spread = limit_of(problem, fitted, lambda done: progress("interval", 0.2 + 0.8 * done))
+        return {"shift": shift, "spread": spread}
+
+    limit = keep("cage", vary)
     progress("interval", 1.0)
     left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
     numbers = numbers_of(problem, fitted, limit, mass_known, left)
@@ -348,7 +353,9 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     )
 
 
-def limit_of(problem: MaterialProblem, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+def limit_of(
+    problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]
+) -> tuple[np.ndarray, np.ndarray]:
     """How the parameters move (P,) where the cage is so fine that its size does not matter, and how far what is held
     leaves them open to both sides (P,).
 
@@ -367,7 +374,9 @@ def limit_of(problem: MaterialProblem, fitted: Fitted) -> tuple[np.ndarray, np.n
     fine = CageOfMarkers(x, tets, cage.held, marker_weights(x, tets, tracks.rest, problem.where))
 
     def stiffness(held: np.ndarray) -> float:
-        return np.log(ElasticShape(x, tets, held, problem.base.poisson, 1).stiffness[0])
+        """Logarithm of the slowest mode's; NaN of what turns about the held vertices."""
+        found = ElasticShape(x, tets, held, problem.base.poisson, 1).stiffness[0]
+        return np.log(found) if found > 0 else np.nan
 
     def fitted_again(held: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, float]:
         cage, theta, least = replace(fine, held=held), trials[0], np.inf
@@ -399,6 +408,7 @@ def limit_of(problem: MaterialProblem, fitted: Fitted) -> tuple[np.ndarray, np.n
             found[k] = fitted_again(held[k], found[k - side][0] + (stiff[k - side] - stiff[k]) * first[None])
             least = min(least, found[k][1])
             k += side
+            progress(len(found) / len(held))
     kept = sorted(k for k in found if found[k][1] <= AS_LIKELY * least)
     ends = [found[k][0] for k in kept]
     for k, beyond in ((kept[0], kept[0] - 1), (kept[-1], kept[-1] + 1)):

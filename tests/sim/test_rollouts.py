@@ -44,6 +44,10 @@ def test_each_candidate_moves_as_a_body_alone(ti_cpu):
         for k, m in enumerate(materials):
             np.testing.assert_allclose(found[:, k], alone(m, X, v, held=HELD), atol=2e-6)
     assert np.abs(found[:, 0, HELD] - X[HELD]).max() == 0
+    other = np.flatnonzero(X[:, 0] > 0.3 - 1e-6)
+    rollouts.hold(other)
+    found = rollouts.run([Candidate(SOFT, X, 0 * X)], TIMES, lambda x: x)
+    np.testing.assert_allclose(found[:, 0], alone(SOFT, X, 0 * X, held=other), atol=2e-6)
     with pytest.raises(BadInput, match="6 candidates, where up to 5 fit"):
         rollouts.run([Candidate(SOFT, X, v)] * 6, TIMES, lambda x: x)
     rollouts.destroy()

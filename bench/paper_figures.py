@@ -385,7 +385,7 @@ def turned_views(folder: Path, name: str) -> list[View]:
 
 
 def turned(gaussians: Gaussians, views: list[View]) -> tuple[dict[str, float], np.ndarray]:
-    """How an object looks that is turned, beside the truth, and pictures of it over the truth's, (H, W, 3) uint8.
+    """Pictures of an object that is turned, beside the truth, and pictures of it over the truth's, (H, W, 3) uint8.
 
     photographed, unseen  PSNR [dB] over black of its pixels that photographs show, and of the others
     holes, outside        pixels of it with an opacity below a half, and of its surroundings above, as shares of its own

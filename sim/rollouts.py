@@ -85,7 +85,7 @@ class Rollouts:
         observe: Callable[[np.ndarray], np.ndarray],
         release: float = math.inf,
     ) -> np.ndarray:
-        """What `observe` makes of the positions (C, V, 3) [m] at each of the times (F,) [s], stacked: (F, C, ...).
+        """The results of `observe` for the positions (C, V, 3) [m] at each of the times (F,) [s], stacked: (F, C, ...).
 
         Pinned vertices are let go at `release` [s], counted as the times are.
         """

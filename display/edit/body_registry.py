@@ -124,7 +124,7 @@ class BodyRegistry:
         return first
 
     def derived(self, pieces: Sequence[Piece]) -> list[Source]:
-        """What a play needs of pieces that it has not seen; a thread may do it, on the host alone."""
+        """The sources of pieces that the play has not seen; a thread may make them, on the host alone."""
         if pieces[0].placed.asset in self.added:
             return []
         device, result = self.device, []

@@ -1,4 +1,4 @@
-"""What a fit says: lines for the terminal, and a page with numbers, intervals and curves."""
+"""Report of a fit: lines for the terminal, and a page with numbers, intervals and curves."""
 
 from __future__ import annotations
 

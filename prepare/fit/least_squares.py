@@ -44,7 +44,7 @@ class Fitted:
     steps: int
 
     def shift(self, residuals: np.ndarray) -> np.ndarray:
-        """How the minimum moves where the model gives these residuals (N,) at `theta`, to first order, (P,)."""
+        """The shift of the minimum where the model gives these residuals (N,) at `theta`, to first order, (P,)."""
         return -np.linalg.solve(self.curvature, gradient(self.jacobian, residuals, self.scale))
 
     def half_widths(self, block: np.ndarray) -> np.ndarray:

@@ -80,7 +80,7 @@ class MarkerTracks:
 
     @property
     def seen(self) -> np.ndarray:
-        """Whether a marker is seen, (F, M)."""
+        """True where a marker is seen, (F, M)."""
         return np.isfinite(self.points).all(2)
 
     def by_camera(self) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -81,7 +81,7 @@ class Number:
 
 @dataclass(frozen=True)
 class MaterialFit:
-    """What was found: the asset's material with the numbers that are seen, all numbers, and what the report draws.
+    """The result: the asset's material with the numbers that are seen, all numbers, and what the report draws.
 
     scan      Young's moduli [Pa] and mean distances [m], (n, 2)
     modelled  what is observed of the markers [m], (F, M, D);   by_factor  with E halved and doubled, by the factor
@@ -138,7 +138,7 @@ class MaterialProblem:
         self.prior = Prior(**{n: np.r_[row[: self.main], of_start[n] * each] for n, row in rows.items()})
 
     def explained(self, error: float, moved: float) -> bool:
-        """Whether what is left [m] of a motion [m] is little enough for it to be the material's doing."""
+        """True if the error [m] is so small a part of a motion [m] that this is the material's doing."""
         return error <= UNLIKE * moved + 3 * self.noise
 
     def check_motion(self) -> None:
@@ -328,12 +328,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
             " are rest, held, planes and the units right?"
         )
     progress("interval", 0.2)
-
-    def vary() -> dict[str, np.ndarray]:
-        shift, spread = limit_of(problem, fitted, lambda done: progress("interval", 0.2 + 0.8 * done))
-        return {"shift": shift, "spread": spread}
-
-    limit = keep("cage", vary)
+    limit = keep("cage", lambda: limit_of(problem, fitted, lambda done: progress("interval", 0.2 + 0.8 * done)))
     progress("interval", 1.0)
     left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
     numbers = numbers_of(problem, fitted, limit, mass_known, left)
@@ -353,11 +348,9 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     )
 
 
-def limit_of(
-    problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]
-) -> tuple[np.ndarray, np.ndarray]:
-    """How the parameters move (P,) where the cage is so fine that its size does not matter, and how far what is held
-    leaves them open to both sides (P,).
+def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]) -> dict[str, np.ndarray]:
+    """The shift (P,) of the parameters to a cage so fine that its size does not matter, and their spread (P,) to both
+    sides, as what is held is not known exactly.
 
     The motion is fitted once more with the cage cut in eight, a large one as it is, by steps with the derivatives of
     the first fit, from the Young's modulus at which the slowest mode is as fast. Errors of linear tets fall with the
@@ -368,7 +361,7 @@ def limit_of(
     cage, tracks, theta = problem.cage, problem.tracks, fitted.theta
     large, boxed = len(cage.vertices) > MOST_REFINED, tracks.camera is not None and len(cage.held) > 0
     if large and not boxed:
-        return np.zeros_like(theta), np.zeros_like(theta)
+        return {"shift": np.zeros_like(theta), "spread": np.zeros_like(theta)}
     as_it_is = cage.vertices, cage.tets, sp.identity(len(cage.vertices), format="csr")
     x, tets, W = as_it_is if large else subdivided(cage.vertices, cage.tets)
     fine = CageOfMarkers(x, tets, cage.held, marker_weights(x, tets, tracks.rest, problem.where))
@@ -415,7 +408,7 @@ def limit_of(
         if 0 <= beyond < len(held) and np.isfinite(stiff[beyond]):
             ends.append(found[k][0] + 0.5 * (stiff[k] - stiff[beyond]) * first)
     low, high = np.min(ends, 0), np.max(ends, 0)
-    return (low + high) / 2 - theta - (slowest - level) / 3 * first, (high - low) / 2
+    return {"shift": (low + high) / 2 - theta - (slowest - level) / 3 * first, "spread": (high - low) / 2}
 
 
 def numbers_of(

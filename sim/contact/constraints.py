@@ -130,7 +130,7 @@ class ContactConstraints:
     def activate(self, r, usable, alone, integrator: ti.template()):
         """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to.
 
-        What a body does to itself (`alone`), or a finger to it, does not begin inside.
+        A contact of a body with itself or a finger (`alone`) is none that began inside.
         """
         pushed = self.impulse[r].norm_sqr() > 0.0
         gentle = usable and not alone and self.is_gentle(r, self.phi[r], pushed)
@@ -138,7 +138,7 @@ class ContactConstraints:
         if usable and not loaded:
             y_n = self.normal[r].dot(self.relative_motion(r, 0, integrator))
             loaded = y_n < min_normal_motion(self.phi[r], self.state.dt[None])
-            if self.active[r] < GENTLE:  # what comes fast was outside before
+            if self.active[r] < GENTLE:  # a fast one was outside before
                 gentle = gentle and y_n > -MAX_RECOVERY_SPEED * self.state.dt[None]
             loaded = loaded or gentle
         if loaded:

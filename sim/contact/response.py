@@ -20,7 +20,7 @@ import taichi as ti
 CONTACT_SLOP = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-7 m) can neither open nor tighten them
 RECOVERY_TIME = 0.02  # [s] in which a deeper penetration decays
 MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw the body that it frees
-INSIDE = 1e-3  # [m]; what begins deeper was inside before it could be met, as even fast bodies are
+INSIDE = 1e-3  # [m]; a contact that is first met deeper began inside
 GENTLE_SPEED = 0.2  # [m/s]; the same of a contact that began inside. Soft bodies spring apart at up to twice that
 # [m/s^3]; growth of the acceleration with which a contact that began inside pushes out. Unbounded, contacts that push
 # against one another squeeze a body until it springs away, at 40 m/s if of 1e8 Pa. It grows until any load is lifted.

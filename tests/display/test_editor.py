@@ -441,7 +441,7 @@ def test_a_body_of_the_users_joins_over_the_play_and_can_be_taken_back(play):
 
 
 def test_a_body_that_was_read_on_a_thread_joins_without_being_measured(play, monkeypatch):
-    """What takes longer than a frame is done by then."""
+    """Nothing that takes longer than a frame is left to do then."""
 
     def late(*_, **__):
         raise AssertionError("too late")

@@ -79,7 +79,7 @@ SPOTS = np.array(
 
 
 def clicks(camera, rng, some=slice(None)):
-    """Where a user clicks SPOTS, about a pixel off; None for what is outside of the picture."""
+    """Places at which a user clicks SPOTS, about a pixel off; None for what is outside of the picture."""
     x, y, _ = camera.projected(SPOTS[some])
     places = np.stack([x, y], 1) + rng.normal(size=(len(x), 2))
     return [(u, v) if 0 < u < camera.width and 0 < v < camera.height else None for u, v in places.tolist()]

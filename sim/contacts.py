@@ -259,7 +259,7 @@ class Contacts(Constraint):
                 self.rigid.activate(r, usable, integrator)
         elif ti.static(self.soft or self.has_fingers):
             a, b = self.bodies_of(r)
-            self.constraints.activate(r, usable, a == b or b == FINGER, integrator)
+            self.constraints.activate(r, usable, a == b or b < 0, integrator)
 
     @ti.func
     def _grouped(self, r):

@@ -130,7 +130,8 @@ class ContactConstraints:
     def activate(self, r, usable, alone, integrator: ti.template()):
         """First pass: warm-start row r, and count it for mass splitting, if it carries a load or is about to.
 
-        A contact of a body with itself or a finger (`alone`) is none that began inside.
+        A contact of a body with itself, a thin capsule or a finger (`alone`) is none that began inside: what is thin
+        would let the body through meanwhile.
         """
         pushed = self.impulse[r].norm_sqr() > 0.0
         gentle = usable and not alone and self.is_gentle(r, self.phi[r], pushed)

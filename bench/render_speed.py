@@ -112,7 +112,7 @@ def run(*, gaussians: list[str], size: tuple[int, int], rounds: int) -> Iterator
 
 def measure(count: int, width: int, height: int, *, rounds: int) -> dict:
     """One row: a room of `count` Gaussians, SH of degree 3, two eyes of width x height [px]."""
-    renderer = Renderer(Splats(room(count)), width, height, views=2)
+    renderer = Renderer(Splats(room(count)), width, height, views=2, still=count)
     took = times(lambda cameras: renderer.render(cameras), ti.sync, width, height, rounds)
     pairs = renderer.rasterizer.pairs
     renderer.destroy()

@@ -4,7 +4,7 @@ import taichi as ti
 
 from core.fields import FieldGroup, load_quad
 from core.lanes import lane_count, sums_before
-from render.footprint import masked_tile, tile_box, touched_cells
+from render.footprint import box_of, masked_tile, tile_box, tile_columns, touched_cells
 from render.prefix_sum import PrefixSum
 from render.projection import DEPTH_BITS, MANY, Projection
 from render.radix_sort import RadixSort, item_of, key_of, value_of
@@ -177,7 +177,8 @@ class TileBins:
     def _emit_masked(self, v: ti.i32, g: ti.i32, pair: ti.i32):
         """Write the pairs of a splat from `pair` on."""
         p = self.projection
-        mean2d, conic, box = load_quad(p.mean2d, v, g), load_quad(p.conic, v, g), load_quad(p.box, v, g)
+        mean2d, conic = load_quad(p.mean2d, v, g), load_quad(p.conic, v, g)
+        box = box_of(mean2d, conic)
         mask, bits = p.tile_mask[v, g], p.tile_mask[v, g][1]
         while bits > 0:
             row, column = masked_tile(mask[0], bits)
@@ -188,12 +189,13 @@ class TileBins:
     def _emit_large(self, v: ti.i32, g: ti.i32, pair: ti.i32, lane: ti.i32):
         """Write the pairs of a splat without a tile mask; each lane has every so many rows."""
         p = self.projection
-        mean2d, conic, box = load_quad(p.mean2d, v, g), load_quad(p.conic, v, g), load_quad(p.box, v, g)
+        mean2d, conic = load_quad(p.mean2d, v, g), load_quad(p.conic, v, g)
+        box = box_of(mean2d, conic)
         left, right, top, bottom = tile_box(mean2d, box, p.tile, p.grid)
         for step in range((bottom - top + self.lanes - 1) // self.lanes):
             row, column, last = top + step * self.lanes + lane, 0, 0
             if row < bottom:
-                column, last = p.columns_in(v, g, row, left, right)
+                column, last = tile_columns(row, left, right, mean2d, conic, box, p.tile)
             before, all_rows = sums_before(last - column, lane, self.lanes)
             at = pair + before
             # The second bound is read again at each step, else the loop's vectorised forms take half a second to

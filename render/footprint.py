@@ -1,7 +1,7 @@
 """Footprint of a splat: the tiles that its ellipse touches, and the plane on which it lies along each pixel's ray.
 
-A splat is given by `mean2d`, `conic` and `box` (render/projection.py); `tile` is (width, height) of a tile [px], `grid`
-the field (width, height [px], columns, rows of tiles) of the picture.
+A splat is given by `mean2d` and `conic` (render/projection.py), and `box` by `box_of`; `tile` is (width, height) of a
+tile [px], `grid` the field (width, height [px], columns, rows of tiles) of the picture.
 """
 
 import math
@@ -35,7 +35,15 @@ def meets_picture(x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32,
 
 
 @ti.func
-def tile_mask_of(mean2d: vec4, conic: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
+def box_of(mean2d: vec4, conic: vec4) -> vec3:
+    """Half width, half height and dy of the rightmost point [px] of a splat's visible ellipse."""
+    size = (mean2d.z + CUTOFF_BITS + CUTOFF_SLACK) / conic[3]
+    half_width = ti.sqrt(size * conic[2])
+    return vec3(half_width, ti.sqrt(size * conic[0]), -conic[1] / conic[2] * half_width)
+
+
+@ti.func
+def tile_mask_of(mean2d: vec4, conic: vec4, box: vec3, tile: ti.template(), grid: ti.template()):
     """The entry of `Projection.tile_mask` for a splat."""
     left, right, top, bottom = tile_box(mean2d, box, tile, grid)
     fits = right - left <= MASK_COLUMNS and bottom - top <= MASK_ROWS
@@ -64,7 +72,7 @@ def masked_tile(corner: ti.i32, bits: ti.i32):
 
 
 @ti.func
-def tile_box(mean2d: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
+def tile_box(mean2d: vec4, box: vec3, tile: ti.template(), grid: ti.template()):
     """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
     left, right = tiles_between(mean2d.x - box[0], mean2d.x + box[0], 0, grid[None][2], tile[0])
     top, bottom = tiles_between(mean2d.y - box[1], mean2d.y + box[1], 0, grid[None][3], tile[1])
@@ -72,7 +80,7 @@ def tile_box(mean2d: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
 
 
 @ti.func
-def tile_columns(row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
+def tile_columns(row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: vec4, box: vec3, tile: ti.template()):
     """Columns [first, last) of tiles in a row of tiles that hold a pixel centre column of the ellipse.
 
     left and right are those of the splat's box.
@@ -86,7 +94,7 @@ def tile_columns(row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: 
 
 
 @ti.func
-def touched_cells(row: ti.i32, column: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
+def touched_cells(row: ti.i32, column: ti.i32, mean2d: vec4, conic: vec4, box: vec3, tile: ti.template()):
     """A bit for each cell of a tile that a splat touches, row by row."""
     x0, height, bits = column * tile[0], ti.static(tile[1] // DOWN), 0
     for down in ti.static(range(DOWN)):
@@ -100,7 +108,7 @@ def touched_cells(row: ti.i32, column: ti.i32, mean2d: vec4, conic: vec4, box: v
 
 
 @ti.func
-def horizontal_extent(top: ti.f32, bottom: ti.f32, mean2d: vec4, conic: vec4, box: vec4):
+def horizontal_extent(top: ti.f32, bottom: ti.f32, mean2d: vec4, conic: vec4, box: vec3):
     """Left and right end [px] of an ellipse between two heights [px], where its box has a part.
 
     The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at the
@@ -209,11 +217,11 @@ class ChangedTiles:
         return self.whole[None] == self.picture[None]
 
     @ti.func
-    def add(self, v, mean2d, box, tile: ti.template(), grid: ti.template()):
+    def add(self, v, mean2d, conic, tile: ti.template(), grid: ti.template()):
         """Mark all tiles in the box of a splat of view v, see `Projection`."""
         if not self.everywhere():
             columns, rows = grid[None][2], grid[None][3]
-            left, right, top, bottom = tile_box(mean2d, box, tile, grid)
+            left, right, top, bottom = tile_box(mean2d, box_of(mean2d, conic), tile, grid)
             for row in range(top, bottom):
                 for column in range(left, right):
                     t = (v * rows + row) * columns + column

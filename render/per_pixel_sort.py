@@ -26,7 +26,7 @@ from render.blend import (
     pixel_of,
     splat_color,
 )
-from render.footprint import CUTOFF_BITS
+from render.footprint import CUTOFF_BITS, box_of
 from render.radix_sort import value_of
 
 BUFFER_SIZE = 16  # splats; 8 leave twice the error in four fifths of the time (bench/NOTES.md)
@@ -130,11 +130,11 @@ class PerPixelSort:
         if i < end:
             g, missing = value_of(self.bins.members[i]), EMPTY_INV_DEPTH
             mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
-            box = self.projection.box[v, g]
             dx0, dy = x0 + 0.5 - mean2d.x, y + 0.5 - mean2d.y
-            touches = ti.abs(dy) <= box[1]
+            touches = ti.abs(dy) <= box_of(mean2d, conic)[1]
             A, tilt, base = conic[0], 2 * conic[1] * dy, mean2d.z - conic[2] * dy * dy
-            center, slope = 1.0 / mean2d.w + self.projection.color[v, g][3] * dy, box[3]
+            change = self.projection.slope[v, g]
+            center, slope = 1.0 / mean2d.w + change.y * dy, change.x
         return touches, g, dx0, A, tilt, base, center, slope, missing
 
     @ti.func
@@ -194,8 +194,8 @@ class PerPixelSort:
         """Numbers of a splat in shared memory: x, y, log2 opacity, 1/z, A, 2 B, C, gx, gy, Gaussian index."""
         x, y, log_opacity, inv_depth = mean2d[0], mean2d[1], mean2d[2], 1.0 / mean2d[3]
         A, B2, C = conic[0], 2 * conic[1], conic[2]
-        gx, gy = self.projection.box[v, g][3], self.projection.color[v, g][3]
-        return ti.Vector([x, y, log_opacity, inv_depth, A, B2, C, gx, gy, ti.bit_cast(g, ti.f32)])
+        change = self.projection.slope[v, g]
+        return ti.Vector([x, y, log_opacity, inv_depth, A, B2, C, change.x, change.y, ti.bit_cast(g, ti.f32)])
 
     @ti.func
     def _blended(self, rgb: ti.math.vec3, depth: ti.f32, weight: ti.f32, v: ti.i32, g: ti.i32):

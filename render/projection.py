@@ -10,9 +10,8 @@ from core.fields import FieldGroup, load_quad, store_quad
 from core.lanes import dealt
 from render import SORTS
 from render.footprint import (
-    CUTOFF_BITS,
-    CUTOFF_SLACK,
     ChangedTiles,
+    box_of,
     clamp,
     depth_slope,
     differ,
@@ -32,6 +31,7 @@ GUARD_BAND = 0.3  # the Jacobian's x/z is held within the picture plus this frac
 # A Gaussian's sort key: its depth in three digits of the sort, and above them the number of its pairs, MANY or more.
 DEPTH_BITS, MANY = 24, 255
 MAX_DEPTH, KEY_STEP = 2e6, 11  # [m]; [floats] of one key: the 22 * 2^23 floats up to MAX_DEPTH have keys
+COLOR_REACH = 0.002  # [m] that an eye may move before colours are seen anew: 79 dB, no pixel off by more than 1/255
 MAX_COLOR, MAX_VARIANCE = 1e6, 1e15  # a colour, a variance [px^2] beyond is broken, and is not drawn
 MAX_CUTOFF = 2 * math.log(255) + 0.01  # [sigma^2] at which an opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
@@ -49,14 +49,15 @@ class Projection:
     grid       (width, height [px], columns, rows of tiles): a field, so that another picture size needs no new kernels
     changed    tiles that differ from the last picture, or None if they are not wanted
     still      number of Gaussians at the beginning of which nothing but the visibility ever changes: a view that has
-               been projected is kept, their sort keys in `kept_key`, their colours without visibility in `kept_color`
+               been projected is kept, their sort keys in `kept_key`. Their colours without visibility are `kept_color`,
+               (r, g, b, bits of their `color_age`); those of an older age are seen anew. An age ends when the eye has
+               moved by more than `color_reach` [m] from `color_eye`
 
     Out, of shape (views, capacity):
     mean2d     (x, y [px], log2 opacity, camera z [m])
     conic      (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
-    color      (r, g, b, change of 1/z per row [1/(m px)])
-    box        (half width, half height, dy of the rightmost point [px], change of 1/z per column [1/(m px)]) of the
-               visible ellipse; the changes of 1/z are set for sort="pixel" only (`depth_slope`)
+    color      (r, g, b, 0)
+    slope      changes of 1/z per column and per row [1/(m px)], see `depth_slope`; with sort="pixel" only
     tile_mask  vec2 i32, the tiles it touches: the first column | first row << 16; bit MASK_COLUMNS row + column for
                tile (column, row) from there, or minus their number if they exceed the mask
     """
@@ -73,25 +74,28 @@ class Projection:
         color: bool,
         sort: str = "z",
         still: int = 0,
+        color_reach: float = 0.0,
         changed: ChangedTiles | None = None,
     ):
         if sort not in SORTS:
             raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
         self.splats, self.radial, self.with_slope = splats, sort != "z", sort == "pixel"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
-        self.still, self.keeps = still, still > 0
+        self.still, self.keeps, self.color_reach = still, still > 0, color_reach
         self.changed, self.compares = changed, changed is not None
         self.fields = f = FieldGroup()
-        # 64 bytes: a splat is one cache line
         with f.interleaved(views, splats.capacity):
-            self.mean2d, self.conic, self.color, self.box = (f.vector(views, splats.capacity, n=4) for _ in range(4))
+            self.mean2d, self.conic, self.color = (f.vector(views, splats.capacity, n=4) for _ in range(3))
+        self.kept_color = f.vector(1, max(still, 1), n=4)  # at a multiple of 16 bytes, see `load_quad`
         self.camera = f.vector(views, 4, n=4)
         self.near = f.scalar(views)
         self.grid = f.vector(n=4, dtype=ti.i32)
         self.tile_mask = f.vector(
             views, splats.capacity, n=2, dtype=ti.i32, column_major=True
         )  # both eyes' side by side
-        self.kept_key, self.kept_color = f.scalar(max(still, 1), dtype=ti.u32), f.vector(max(still, 1))
+        self.slope = f.vector(views, splats.capacity if self.with_slope else 1, n=2)
+        self.kept_key = f.scalar(max(still, 1), dtype=ti.u32)
+        self.color_age, self.color_eye = f.scalar(dtype=ti.i32), f.vector()
         f.build()
         self.near.fill(NEAR_PLANE)
         self.set_size(width, height)
@@ -115,8 +119,8 @@ class Projection:
     def project(self, begin: ti.i32, end: ti.i32, kept: ti.i32, whole: ti.i32, sorter: ti.template()):
         """Project Gaussians [begin, end) and give `sorter` their depths; outermost level of a kernel.
 
-        Of those below `kept` only the colours are renewed: the last call projected them for the same cameras. All
-        tiles count as changed if `whole`.
+        Of those below `kept` only the visibility is renewed: the last call projected them for the same cameras. If it
+        is negative, what stands still has changed. All tiles count as changed if `whole`.
 
         Sigma_2D = J W Sigma W^T J^T + 0.3 I, J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]]
         with x/z and y/z held near the picture.                       Zwicker 2001; Kerbl 2023
@@ -124,19 +128,24 @@ class Projection:
         if ti.static(self.compares):
             self.changed.begin(whole)
         sorter.count[None] = ti.max(end - begin, 0)
+        if ti.static(self.keeps):
+            eye = self._eye()
+            if kept < 0 or (eye - self.color_eye[None]).norm() > self.color_reach:
+                self.color_eye[None] = eye
+                self.color_age[None] += 1
         for k in range(end - begin):
             g = begin + dealt(k, end - begin)
             key, c = ti.u32(DROPPED), vec3(0.0)
             if ti.static(self.keeps) and g < kept:
-                key, c = self.kept_key[g], self.kept_color[g]
+                key, c = self.kept_key[g], load_quad(self.kept_color, 0, g).xyz
             else:
                 key, c = self._project(g)
                 if ti.static(self.keeps):  # noqa: SIM102, the outer one is resolved at compile time
                     if g < self.still:
-                        self.kept_key[g], self.kept_color[g] = key, c
+                        self.kept_key[g] = key
             if ti.static(self.with_color):  # noqa: SIM102
                 if key != ti.u32(DROPPED):
-                    c *= self.splats.visibility[g]
+                    c = ti.max(0.0, c) * self.splats.visibility[g]
                     for v in range(self.views):
                         self._set_color(v, g, c)
             sorter.items[g - begin] = item_of(key, g)
@@ -166,39 +175,51 @@ class Projection:
             if p.z >= self.near[v] and opacity >= 1 / 255:
                 mask = self._project_to(v, g, ti.cast(p, ti.f32), ti.min(opacity, 1.0), drawn)
             if drawn and mask[1] == 0:
-                self._add_changed(v, self.mean2d[v, g], self.box[v, g])
+                self._add_changed(v, self.mean2d[v, g], self.conic[v, g])
             self.tile_mask[v, g] = mask
             seen |= mask[1]
             pairs += tiles_in(mask)
         key = ti.u32(DROPPED)
         if ti.static(self.with_color):  # noqa: SIM102, the outer one is resolved at compile time
             if seen != 0:
-                c = color_of(self.splats, g, mean - self._eye())
+                c = self._color(g, mean)
                 if not (ti.abs(c).sum() < MAX_COLOR):  # also if it is not a number
                     seen = 0
                     for v in range(self.views):
                         self.tile_mask[v, g] = ti.Vector([0, 0])
-                c = ti.max(0.0, c)
         if seen != 0:
             key = ti.cast(ti.min(pairs, MANY), ti.u32) << ti.u32(DEPTH_BITS)
             key |= depth_key(ti.cast(depth / self.views, ti.f32))
         return key, c
 
     @ti.func
+    def _color(self, g: ti.i32, mean: vec3) -> vec3:
+        """The colour of Gaussian g in full light; of one that stands still, it is kept while it is of this age."""
+        c, is_kept = vec3(0.0), False
+        if ti.static(self.keeps):  # noqa: SIM102, the outer one is resolved at compile time
+            if g < self.still:
+                kept = load_quad(self.kept_color, 0, g)
+                c, is_kept = kept.xyz, ti.bit_cast(kept.w, ti.i32) == self.color_age[None]
+        if not is_kept:
+            c = color_of(self.splats, g, mean - self._eye())
+            if ti.static(self.keeps):  # noqa: SIM102, the outer one is resolved at compile time
+                if g < self.still:
+                    store_quad(self.kept_color, 0, g, vec4(c, ti.bit_cast(self.color_age[None], ti.f32)))
+        return c
+
+    @ti.func
     def _set_color(self, v: ti.i32, g: ti.i32, c: vec3):
         """Write the colour of splat `g` of view `v`, which has been projected."""
         new = vec4(c, 0.0)
-        if ti.static(self.with_slope):
-            new[3] = self.color[v, g][3]
         if ti.static(self.compares):  # noqa: SIM102, the outer one is resolved at compile time
             if self.tile_mask[v, g][1] != 0 and differ(new, self.color[v, g]):
-                self._add_changed(v, self.mean2d[v, g], self.box[v, g])
+                self._add_changed(v, self.mean2d[v, g], self.conic[v, g])
         store_quad(self.color, v, g, new)
 
     @ti.func
-    def _add_changed(self, v: ti.i32, mean2d: vec4, box: vec4):
+    def _add_changed(self, v: ti.i32, mean2d: vec4, conic: vec4):
         if ti.static(self.compares):
-            self.changed.add(v, mean2d, box, self.tile, self.grid)
+            self.changed.add(v, mean2d, conic, self.tile, self.grid)
 
     @ti.func
     def tile_count(self, v: ti.i32, g: ti.i32) -> ti.i32:
@@ -213,18 +234,14 @@ class Projection:
                     count += ti.cast(self.draws(self.tile_at(v, row, column)), ti.i32)
                     bits &= bits - 1
             if bits < 0 and not self.changed.everywhere():
-                left, right, top, bottom = tile_box(self.mean2d[v, g], self.box[v, g], self.tile, self.grid)
+                mean2d, conic = self.mean2d[v, g], self.conic[v, g]
+                box = box_of(mean2d, conic)
+                left, right, top, bottom = tile_box(mean2d, box, self.tile, self.grid)
                 for row in range(top, bottom):
-                    first, last = self.columns_in(v, g, row, left, right)
+                    first, last = tile_columns(row, left, right, mean2d, conic, box, self.tile)
                     for column in range(first, last):
                         count += ti.cast(self.draws(self.tile_at(v, row, column)), ti.i32)
         return count
-
-    @ti.func
-    def columns_in(self, v: ti.i32, g: ti.i32, row: ti.i32, left: ti.i32, right: ti.i32):
-        """Columns [first, last) of tiles in a row that splat `g` of view `v` touches; left, right of its `tile_box`."""
-        mean2d, conic = load_quad(self.mean2d, v, g), load_quad(self.conic, v, g)
-        return tile_columns(row, left, right, mean2d, conic, load_quad(self.box, v, g), self.tile)
 
     @ti.func
     def inside(self, x: ti.i32, y: ti.i32):
@@ -264,7 +281,7 @@ class Projection:
     def _eye(self) -> vec3:
         """Mean of the camera centres [m]."""
         eye = vec3(0.0)
-        for v in range(self.views):
+        for v in ti.static(range(self.views)):
             for k in ti.static(range(3)):
                 eye -= self.camera[v, k].w * self.camera[v, k].xyz / self.views
         return eye
@@ -309,25 +326,20 @@ class Projection:
             xy, det = ti.cast(sharp_xy, ti.f32), ti.cast(exact, ti.f32)
             if xx < MAX_VARIANCE and yy < MAX_VARIANCE and exact > 0 and is_covariance(wide) and opacity >= 1 / 255:
                 log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
-                cutoff = (log_opacity + CUTOFF_BITS + CUTOFF_SLACK) / HALF_LOG2_E  # [sigma^2]
-                half_width, half_height = ti.sqrt(cutoff * xx), ti.sqrt(cutoff * yy)
-                if meets_picture(mx, my, half_width, half_height, self.grid):
-                    A, B, C = yy * HALF_LOG2_E / det, -xy * HALF_LOG2_E / det, xx * HALF_LOG2_E / det
-                    mean2d = vec4(mx, my, log_opacity, p.z)
-                    conic = vec4(A, B, C, HALF_LOG2_E * HALF_LOG2_E / det)
-                    box = vec4(half_width, half_height, -B / C * half_width, 0.0)
+                A, B, C = yy * HALF_LOG2_E / det, -xy * HALF_LOG2_E / det, xx * HALF_LOG2_E / det
+                mean2d, conic = vec4(mx, my, log_opacity, p.z), vec4(A, B, C, HALF_LOG2_E * HALF_LOG2_E / det)
+                box = box_of(mean2d, conic)
+                if meets_picture(mx, my, box[0], box[1], self.grid):
                     if ti.static(self.with_slope):
-                        change = depth_slope(self.camera, v, p, s, DILATION, MAX_CUTOFF)
-                        box[3], self.color[v, g][3] = change.x, change.y
+                        self.slope[v, g] = depth_slope(self.camera, v, p, s, DILATION, MAX_CUTOFF)
                     if ti.static(self.compares):
                         if not drawn:
-                            self._add_changed(v, mean2d, box)
+                            self._add_changed(v, mean2d, conic)
                         elif differ(mean2d, self.mean2d[v, g]) or differ(conic, self.conic[v, g]):
-                            self._add_changed(v, self.mean2d[v, g], self.box[v, g])
-                            self._add_changed(v, mean2d, box)
+                            self._add_changed(v, self.mean2d[v, g], self.conic[v, g])
+                            self._add_changed(v, mean2d, conic)
                     store_quad(self.mean2d, v, g, mean2d)
                     store_quad(self.conic, v, g, conic)
-                    store_quad(self.box, v, g, box)
                     mask = tile_mask_of(mean2d, conic, box, self.tile, self.grid)
         return mask
 

@@ -9,7 +9,7 @@ from render.binning import DepthOrder, TileBins
 from render.blend import CPU_TILE, GPU_TILE, LARGE_GPU_TILE, MANY_PIXELS, Blend
 from render.footprint import ChangedTiles
 from render.per_pixel_sort import BUFFER_SIZE, PerPixelSort
-from render.projection import Projection, camera_words
+from render.projection import COLOR_REACH, Projection, camera_words
 from render.splats import Splats
 
 PAIRS_PER_GAUSSIAN = 8  # initial capacity per view; scenes were seen to need 3 to 6
@@ -27,7 +27,8 @@ class Rasterizer:
     tile and Gaussian: more pairs need a new `TilePass`, not a new rasterizer.
 
     still  number of Gaussians at the beginning of which only the visibility changes: they are projected again only if
-           the cameras or the size have changed, and all draws must begin with them
+           the cameras or the size have changed, and all draws must begin with them; with `fast`, their colours are seen
+           anew when the eye has moved by COLOR_REACH
     segments  see Blend; not with sort "pixel"
     keeps  tiles of which nothing has changed since the last draw keep their pixels, if `out` is the same: on a CPU,
            where blending takes most of the time
@@ -61,8 +62,9 @@ class Rasterizer:
         self.projection = Projection(
             splats, width, height, views,
             tile=tile, antialias=antialias, color=color, sort=sort, still=still, changed=self._changed,
+            color_reach=COLOR_REACH if fast else 0.0,
         )  # fmt: skip
-        self._kept = 0  # Gaussians that are projected for the cameras and the size of now
+        self._kept = -1  # Gaussians that are projected for the cameras and the size of now; see `Projection.project`
         self.order = DepthOrder(self.projection)
         self._with_color, self._with_depth = color, depth
         self._segments, self._fast = segments, fast
@@ -152,13 +154,13 @@ class Rasterizer:
 
     def forget(self) -> None:
         """Draw all anew: what was said to stand still has moved."""
-        self._cameras, self._kept, self._last = [], 0, None
+        self._cameras, self._kept, self._last = [], -1, None
 
     def set_cameras(self, cameras: list[Camera]) -> None:
         """Set the cameras of all views; their size must be the rasterizer's."""
         words = [camera_words(camera) for camera in cameras]
         if self._cameras != words:
-            self._cameras, self._unsent, self._kept, self._last = words, True, 0, None
+            self._cameras, self._unsent, self._kept, self._last = words, True, min(self._kept, 0), None
 
     def destroy(self) -> None:
         """Free the device memory."""

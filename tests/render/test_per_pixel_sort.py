@@ -143,12 +143,10 @@ def device_planes(pixel, g: Gaussians, camera: Camera) -> tuple[np.ndarray, np.n
     """a (N, 3) in the camera's frame as the splats hold it, and which are drawn."""
     draw(pixel, g, camera)
     p = pixel.rasterizer.projection
-    mean2d, color, box, mask = (
-        f.to_numpy()[0, : len(g)].astype(np.float64) for f in (p.mean2d, p.color, p.box, p.tile_mask)
-    )
+    mean2d, slope, mask = (f.to_numpy()[0, : len(g)].astype(np.float64) for f in (p.mean2d, p.slope, p.tile_mask))
     drawn = mask[:, 1] != 0
     mean2d[~drawn, 3] = 1
-    gx, gy = box[:, 3], color[:, 3]
+    gx, gy = slope.T
     back = 1 / mean2d[:, 3] - gx * (mean2d[:, 0] - camera.cx) - gy * (mean2d[:, 1] - camera.cy)
     return np.stack([gx * camera.fx, gy * camera.fy, back], axis=1), drawn
 

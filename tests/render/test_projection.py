@@ -6,7 +6,7 @@ import taichi as ti
 
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at
-from render.footprint import ACROSS, DOWN, touched_cells
+from render.footprint import ACROSS, DOWN, box_of, touched_cells
 from tests.support import reference_render as reference
 from tests.support.drawing import Drawing
 
@@ -89,8 +89,8 @@ def test_cells_hold_all_splats_with_a_visible_pixel_in_them_and_few_others(drawi
     @ti.kernel
     def find():
         for i, row, column in found:
-            box = p.box[0, i]
-            found[i, row, column] = touched_cells(row, column, p.mean2d[0, i], p.conic[0, i], box, tile)
+            mean2d, conic = p.mean2d[0, i], p.conic[0, i]
+            found[i, row, column] = touched_cells(row, column, mean2d, conic, box_of(mean2d, conic), tile)
 
     find()
     drawn = p.tile_mask.to_numpy()[0, : len(g), 1] != 0

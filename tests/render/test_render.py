@@ -138,6 +138,32 @@ def test_what_stands_still_is_projected_once_a_view_and_shaded_in_each_picture(t
     compare((0.3, 0.2, -2))
 
 
+def test_colours_of_what_stands_still_are_seen_anew_when_the_eye_has_moved(ti_cpu):
+    """They are kept for 2 mm, of what was out of the picture not at all, and not if it has changed after all."""
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    splats = Splats(cloud(np.random.default_rng(3), 60))
+    keeping, plain = (Renderer(splats, 96, 64, sort="radial", still=n) for n in (60, 0))
+
+    def off(x: float, target=(0, 0, 0)) -> int:
+        """Largest difference of the two pictures from an eye at x [m]."""
+        camera = perspective(96, 64, 1.0, look_at((x, 0, -2), target))
+        for renderer in (keeping, plain):
+            renderer.render([camera])
+        assert plain.pixels().std() > 5
+        return np.abs(keeping.pixels().astype(int) - plain.pixels()).max()
+
+    assert off(0.0, (0.9, 0, 0)) == 0 and off(0.0) == 0  # many were out of the first picture
+    assert off(0.0015) <= 1 and off(-0.0015) <= 1
+    splats.sh.from_numpy(splats.sh.to_numpy()[:, :, ::-1].copy())
+    assert off(0.0005) > 20  # they are those of before
+    assert off(0.0025) == 0
+    splats.sh.from_numpy(splats.sh.to_numpy()[:, :, ::-1].copy())
+    keeping.forget()
+    assert off(0.0025) == 0
+
+
 @pytest.mark.parametrize("sort", ["radial", "pixel"])
 def test_tiles_in_which_nothing_changes_keep_their_pixels(ti_cpu, sort):
     """Pictures equal those drawn as a whole, when Gaussians move, appear, vanish, change colour or are broken."""

@@ -8,7 +8,7 @@ a fresh machine: set TI_OFFLINE_CACHE_FILE_PATH to an empty folder.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -110,10 +110,10 @@ def still(frames: int, *given) -> Iterable[Act]:
 
 
 def joining(world: World) -> Iterator[Act]:
-    """A body is read on a thread, as a play does it, and joins."""
+    """A body is read on a thread, as a play does it, and joins; the frames wait, as a headset's do."""
     with ThreadPoolExecutor(1) as reader:
         body = reader.submit(world.editor.prepared, ADDED, ADDED)
-        while not body.done():
+        while wait([body], 1 / 90).not_done:
             yield ([Hand(), Hand()],)
     yield from still(REST, lambda: world.editor.add(body.result()))
 

@@ -259,7 +259,8 @@ class Contacts(Constraint):
                 self.rigid.activate(r, usable, integrator)
         elif ti.static(self.soft or self.has_fingers):
             a, b = self.bodies_of(r)
-            self.constraints.activate(r, usable, a == b or b < 0, integrator)
+            alone = a == b or (b < 0 and r >= self.deformable.begin)  # itself, or a capsule
+            self.constraints.activate(r, usable, alone, integrator)
 
     @ti.func
     def _grouped(self, r):

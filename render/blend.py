@@ -15,7 +15,7 @@ from core.fields import load_quad
 from core.lanes import WARP, dealt, rank_lanes, sync_lanes, vote
 from core.runtime import CUDA, QUADRANTS
 from render.binning import CELLS_AT, TileBins
-from render.footprint import ACROSS, CELL, CUTOFF_BITS, DOWN, box_of
+from render.footprint import ACROSS, CELL, CUTOFF_BITS, DOWN
 from render.radix_sort import key_of, value_of
 
 ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weights stay finite
@@ -179,7 +179,7 @@ class Blend:
                 if ti.static(self.fast):
                     top_power = ti.min(top_power, LOG_ALPHA_MAX)
                 dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
-                first, last = covered_rows(dy0, box_of(mean2d, conic)[1], top, bottom)
+                first, last = covered_rows(dy0, self.projection.color[v, g][3], top, bottom)
                 for row in range(first, last + 1):
                     dy = dy0 + row
                     base, tilt = top_power - C * dy * dy, B * dy

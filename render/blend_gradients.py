@@ -30,7 +30,7 @@ from render.blend import (
     splat_color,
     unfinished_rows,
 )
-from render.footprint import CUTOFF_BITS, box_of
+from render.footprint import CUTOFF_BITS
 from render.per_pixel_sort import BUFFER_SIZE, EMPTY_INV_DEPTH, PIXEL_THREADS, pushed
 from render.radix_sort import value_of
 
@@ -174,7 +174,7 @@ class BlendGradients:
             mean2d, conic, color = self.projection.mean2d[0, g], self.projection.conic[0, g], splat_color(self, 0, g)
             A, B, C = conic[0], conic[1], conic[2]
             dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
-            first, last = covered_rows(dy0, box_of(mean2d, conic)[1], top, bottom)
+            first, last = covered_rows(dy0, self.projection.color[0, g][3], top, bottom)
             sums = ti.Vector([0.0] * SUMS)
             for row in range(first, last + 1):
                 dy = dy0 + row

@@ -26,7 +26,7 @@ from render.blend import (
     pixel_of,
     splat_color,
 )
-from render.footprint import CUTOFF_BITS, box_of
+from render.footprint import CUTOFF_BITS
 from render.radix_sort import value_of
 
 BUFFER_SIZE = 16  # splats; 8 leave twice the error in four fifths of the time (bench/NOTES.md)
@@ -131,7 +131,7 @@ class PerPixelSort:
             g, missing = value_of(self.bins.members[i]), EMPTY_INV_DEPTH
             mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
             dx0, dy = x0 + 0.5 - mean2d.x, y + 0.5 - mean2d.y
-            touches = ti.abs(dy) <= box_of(mean2d, conic)[1]
+            touches = ti.abs(dy) <= self.projection.color[v, g][3]
             A, tilt, base = conic[0], 2 * conic[1] * dy, mean2d.z - conic[2] * dy * dy
             change = self.projection.slope[v, g]
             center, slope = 1.0 / mean2d.w + change.y * dy, change.x

@@ -56,7 +56,7 @@ class Projection:
     Out, of shape (views, capacity):
     mean2d     (x, y [px], log2 opacity, camera z [m])
     conic      (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
-    color      (r, g, b, 0)
+    color      (r, g, b, on a CPU the half height [px] of `box_of`)
     slope      changes of 1/z per column and per row [1/(m px)], see `depth_slope`; with sort="pixel" only
     tile_mask  vec2 i32, the tiles it touches: the first column | first row << 16; bit MASK_COLUMNS row + column for
                tile (column, row) from there, or minus their number if they exceed the mask
@@ -82,11 +82,13 @@ class Projection:
         self.splats, self.radial, self.with_slope = splats, sort != "z", sort == "pixel"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
         self.still, self.keeps, self.color_reach = still, still > 0, color_reach
+        self.keeps_color = self.keeps and splats.coefficients > 1  # else it is the same from everywhere
         self.changed, self.compares = changed, changed is not None
+        self.on_gpu = ti.cfg.arch == ti.cuda
         self.fields = f = FieldGroup()
         with f.interleaved(views, splats.capacity):
             self.mean2d, self.conic, self.color = (f.vector(views, splats.capacity, n=4) for _ in range(3))
-        self.kept_color = f.vector(1, max(still, 1), n=4)  # at a multiple of 16 bytes, see `load_quad`
+        self.kept_color = f.vector(1, still if self.keeps_color else 1, n=4)  # aligned, see `load_quad`
         self.camera = f.vector(views, 4, n=4)
         self.near = f.scalar(views)
         self.grid = f.vector(n=4, dtype=ti.i32)
@@ -137,7 +139,9 @@ class Projection:
             g = begin + dealt(k, end - begin)
             key, c = ti.u32(DROPPED), vec3(0.0)
             if ti.static(self.keeps) and g < kept:
-                key, c = self.kept_key[g], load_quad(self.kept_color, 0, g).xyz
+                key = self.kept_key[g]
+                if key != ti.u32(DROPPED):
+                    c = self._color(g, self.splats.mean[g])
             else:
                 key, c = self._project(g)
                 if ti.static(self.keeps):  # noqa: SIM102, the outer one is resolved at compile time
@@ -196,13 +200,13 @@ class Projection:
     def _color(self, g: ti.i32, mean: vec3) -> vec3:
         """The colour of Gaussian g in full light; of one that stands still, it is kept while it is of this age."""
         c, is_kept = vec3(0.0), False
-        if ti.static(self.keeps):  # noqa: SIM102, the outer one is resolved at compile time
+        if ti.static(self.keeps_color):  # noqa: SIM102, the outer one is resolved at compile time
             if g < self.still:
                 kept = load_quad(self.kept_color, 0, g)
                 c, is_kept = kept.xyz, ti.bit_cast(kept.w, ti.i32) == self.color_age[None]
         if not is_kept:
             c = color_of(self.splats, g, mean - self._eye())
-            if ti.static(self.keeps):  # noqa: SIM102, the outer one is resolved at compile time
+            if ti.static(self.keeps_color):  # noqa: SIM102, the outer one is resolved at compile time
                 if g < self.still:
                     store_quad(self.kept_color, 0, g, vec4(c, ti.bit_cast(self.color_age[None], ti.f32)))
         return c
@@ -211,6 +215,8 @@ class Projection:
     def _set_color(self, v: ti.i32, g: ti.i32, c: vec3):
         """Write the colour of splat `g` of view `v`, which has been projected."""
         new = vec4(c, 0.0)
+        if ti.static(not self.on_gpu):
+            new[3] = self.color[v, g][3]
         if ti.static(self.compares):  # noqa: SIM102, the outer one is resolved at compile time
             if self.tile_mask[v, g][1] != 0 and differ(new, self.color[v, g]):
                 self._add_changed(v, self.mean2d[v, g], self.conic[v, g])
@@ -338,6 +344,8 @@ class Projection:
                         elif differ(mean2d, self.mean2d[v, g]) or differ(conic, self.conic[v, g]):
                             self._add_changed(v, self.mean2d[v, g], self.conic[v, g])
                             self._add_changed(v, mean2d, conic)
+                    if ti.static(not self.on_gpu):
+                        self.color[v, g][3] = box[1]
                     store_quad(self.mean2d, v, g, mean2d)
                     store_quad(self.conic, v, g, conic)
                     mask = tile_mask_of(mean2d, conic, box, self.tile, self.grid)

@@ -34,6 +34,7 @@ ROUNDS = 8  # of refining one by optical flow
 STEEP = 6.0  # [px] in depth over two pixels, beyond which a picture of a surface shows two of them
 POINTS, FEWEST_POINTS = 400, 20  # of the surface that a flow moves
 SHAPED = 0.6  # least overlap (intersection over union) of the body and the mask
+APART = 0.15  # of a body's size: what is farther from all planes does not lie on one; a pose is off by less
 FLAT, FOOT = 12.0, 0.05  # [degrees] of a side to a plane on which it lies, and its least share of the body's hull
 MARKERS = 150
 CORNER = 0.003  # of the clearest corner's strength: fainter ones slide along edges
@@ -345,6 +346,8 @@ def resting(pose: np.ndarray, x: np.ndarray, camera: Camera | None, planes: np.n
     at = posed(pose, x)
     gaps = (at @ planes[:, :3].T).min(0) - planes[:, 3]
     k = int(np.abs(gaps).argmin())
+    if abs(gaps[k]) > APART * np.ptp(x, axis=0).max():
+        return pose
     n = planes[k, :3]
     hull = ConvexHull(at)
     sides, corners = hull.equations[:, :3], at[hull.simplices]

@@ -8,9 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from core.errors import BadInput
+from display.drawn_body import DrawnBody
 from prepare.fit.clip_masks import Clip, clip_masks
 from prepare.fit.clip_shake import camera_moves, moved, shift_of, steadied
-from prepare.fit.clip_tracks import tracked
+from prepare.fit.clip_tracks import Shot, markers_of, tracked
 from tests.support.filmed_block import (
     PIXELS,
     TIMES,
@@ -63,7 +64,13 @@ def test_a_hand_s_shake_is_taken_out(take, pixels):
     assert steps_off(camera_moves(shaken, masks), true).max() < 0.25
     clip, cut, line = steadied(shaken, masks)
     assert (cut & where).sum() > 0.97 * (cut | where).sum() and line.endswith("px, taken out")
-    one, other, raw = (tracked(*c) for c in ((still, where), (clip, cut), (shaken, masks)))
+    block, camera = speckled_block(TRUE), camera_of()
+    drawn, rest = DrawnBody(block, *PIXELS), markers_of(block)
+    one, other, raw = (
+        tracked(drawn.picture, Shot(*c, camera, np.zeros((0, 4))), np.eye(4), rest)
+        for c in ((still, where), (clip, cut), (shaken, masks))
+    )
+    drawn.destroy()
     off, before = (np.sqrt(np.nanmean((t - one) ** 2)) for t in (other, raw))
     assert off < 0.1 and before > 3 * off
     assert np.isfinite(other).mean() > np.isfinite(one).mean() - 0.05

@@ -163,13 +163,14 @@ def followed(
     made: tuple, camera: Camera, picture: np.ndarray, mask: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where a picture with a mask shows points (N, 3) of a drawn body, (N, 2) [px], by the optical flow from the drawn
-    one; and which are seen, (N,): those on the drawn surface, from where the flow leads back."""
+    one; and which are seen, (N,): those on the drawn surface, from where the flow leads into the mask, and back."""
     ours, theirs = alike(made, picture, mask)
     u, v, depth = camera.projected(points)
     drawn = np.column_stack([u, v])
     there = drawn + sampled(flow_between(ours, theirs), drawn)
     off = np.linalg.norm(there + sampled(flow_between(theirs, ours), there) - drawn, axis=1)
     on = sampled(surface(made, camera).astype(np.float32), drawn) > 0.5
+    on &= sampled(mask.astype(np.float32), there) > 0.5
     near = np.abs(sampled(made[2].astype(np.float32), drawn) - depth) < ON_SURFACE * depth / camera.fx
     return there, on & near & (off < BACK_AND_FORTH)
 

@@ -1,5 +1,6 @@
 """Shake of a camera in a hand is taken out of a clip; one that stands still is left alone, one that goes is refused."""
 
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -67,11 +68,11 @@ def test_a_hand_s_shake_is_taken_out(take, pixels):
     block, camera = speckled_block(TRUE), camera_of()
     drawn, rest = DrawnBody(block, *PIXELS), markers_of(block)
     one, other, raw = (
-        tracked(drawn.picture, Shot(*c, camera, np.zeros((0, 4))), np.eye(4), rest)
-        for c in ((still, where), (clip, cut), (shaken, masks))
+        tracked(drawn.picture, Shot(replace(c, pictures=c.pictures[:14]), m, camera, np.zeros((0, 4))), np.eye(4), rest)
+        for c, m in ((still, where[:14]), (clip, cut[:14]), (shaken, masks[:14]))
     )
     drawn.destroy()
-    off, before = (np.sqrt(np.nanmean((t - one) ** 2)) for t in (other, raw))
+    off, before = (np.nanmedian(np.abs(t - one)) for t in (other, raw))
     assert off < 0.1 and before > 3 * off
     assert np.isfinite(other).mean() > np.isfinite(one).mean() - 0.05
 

@@ -184,12 +184,13 @@ def test_a_second_camera_shows_the_depth_that_one_does_not(block, clip, moving, 
 
 def test_a_thing_that_flies_fast_and_turns_is_followed_from_picture_to_picture(block):
     """It goes by 9 px and turns by 6 degrees from each picture to the next; a bar covers a part in one of them."""
-    camera, x = camera_of(), block.cage.vertices.astype(float)
+    x = block.cage.vertices.astype(float)
     rest, ways, middle = markers_of(block), [], x.mean(0)
+    camera = perspective(*PIXELS, 0.8, look_at(middle + [-0.06, 0.12, 0.5], middle))
     for k in range(12):
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_euler("yz", [4 * k, 4.5 * k], degrees=True).as_matrix()
-        pose[:3, 3] = middle - pose[:3, :3] @ middle + [0.015 * (k - 6), 0.012 * (k - 6) - 0.002 * (k - 6) ** 2, 0]
+        pose[:3, 3] = middle - pose[:3, :3] @ middle + [0.03 * (k - 5.5), 0.06 - 0.004 * (k - 5.5) ** 2, 0]
         ways.append(pose)
     pictures = filmed(block, np.stack([posed(p, x) for p in ways]), camera)
     clip = Clip(pictures, TIMES[:12], 0, "clip")
@@ -203,16 +204,16 @@ def test_a_thing_that_flies_fast_and_turns_is_followed_from_picture_to_picture(b
     seen, off = np.isfinite(found).all(2), np.linalg.norm(found - true, axis=2)
     covered = np.abs(true[5, :, 0] - 73) < 2
     assert np.linalg.norm(np.diff(true, axis=0), axis=2).mean() > 9 and seen.sum(1).min() > 40
-    assert np.nanmedian(off, axis=1).max() < 0.4 and np.nanpercentile(off, 95) < 1.5
+    assert np.nanmedian(off) < 0.5 and np.nanpercentile(off, 95) < 1.6
     assert covered.sum() > 3 and not seen[5, covered].any() and seen[6, covered].any()
 
 
-def test_a_thing_that_does_not_look_like_the_asset_cannot_be_followed(block, masks):
-    drawn = DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE)
-    noise = np.random.default_rng(0).integers(0, 255, (len(masks), *PIXELS[::-1], 3)).astype(np.uint8)
-    shot = Shot(Clip(noise, TIMES, 0, "clip"), masks, camera_of(), np.zeros((0, 4)))
+def test_a_thing_that_goes_elsewhere_than_its_mask_is_not_followed(block, clip, masks):
+    drawn, aside = DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE), masks.copy()
+    aside[1:] = False
+    aside[1:, 50:54, 20:24] = True
     with pytest.raises(BadInput, match="clip: its surface is not followed: "):
-        attached(drawn.picture, block, shot, np.eye(4), lambda done: None)
+        attached(drawn.picture, block, Shot(clip, aside, camera_of(), np.zeros((0, 4))), np.eye(4), lambda done: None)
     drawn.destroy()
 
 

@@ -116,7 +116,7 @@ def from_body(camera: Camera, pose: np.ndarray) -> Camera:
 
 
 def found_pose(draw: Draw, x: np.ndarray, camera: Camera, clip: Clip, mask: np.ndarray, progress) -> np.ndarray:
-    """world_from_asset (4, 4) of the rigid body, of vertices x (V, 3) at rest, in the clip's first picture.
+    """world_from_asset (4, 4) of the rigid body, of points x (V, 3) at rest, in the clip's first picture.
 
     Raises BadInput where it looks like the mask in no pose.
     """
@@ -195,13 +195,11 @@ def alike(made: tuple, picture: np.ndarray, mask: np.ndarray) -> tuple[np.ndarra
     return grey[0], grey[1]
 
 
-def markers_of(asset: Asset) -> np.ndarray:
-    """Points (M, 3) all over the body at rest: an opaque Gaussian in each cell of a grid that has one."""
-    x = np.asarray(asset.cage.vertices, np.float64)
+def points_of(asset: Asset) -> np.ndarray:
+    """Points (N, 3) all over the body at rest: an opaque Gaussian in each cell of a grid that has one."""
     points = np.asarray(asset.gaussians.means, np.float64)[np.ravel(asset.gaussians.logit_opacities) > OPAQUE]
-    size = np.ptp(x, axis=0).max()
-    points = points[np.unique(np.floor(points / (SPACING * size)), axis=0, return_index=True)[1]]
-    return points[surface_weights(x, asset.cage.tets, points)[1] < OFF_THE_CAGE * size]
+    size = np.ptp(points, axis=0).max()
+    return points[np.unique(np.floor(points / (SPACING * size)), axis=0, return_index=True)[1]]
 
 
 def tracked(draw: Draw, shot: Shot, pose: np.ndarray, rest: np.ndarray, progress=lambda done: None) -> np.ndarray:
@@ -287,7 +285,7 @@ def clip_tracks(draw: Draw, asset: Asset, shots: Sequence[Shot], blank: MarkerTr
     Raises BadInput where the thing is not found, or not followed.
     """
     x = np.asarray(asset.cage.vertices, np.float64)
-    pose = common_pose(draw, x, shots, lambda done: progress("pose", 0.8 * done))
+    pose = common_pose(draw, points_of(asset), shots, lambda done: progress("pose", 0.8 * done))
     if len(blank.planes):
         pose = resting(pose, x, shots[0].camera if len(shots) == 1 else None, blank.planes)
     progress("pose", 1.0)
@@ -324,7 +322,8 @@ def attached(draw: Draw, asset: Asset, shot: Shot, pose: np.ndarray, progress) -
 
     Raises BadInput where the surface is not followed.
     """
-    rest = markers_of(asset)
+    x, rest = np.asarray(asset.cage.vertices, np.float64), points_of(asset)
+    rest = rest[surface_weights(x, asset.cage.tets, rest)[1] < OFF_THE_CAGE * np.ptp(x, axis=0).max()]
     pixels = tracked(draw, shot, pose, rest, progress)
     seen = np.isfinite(pixels).all(2)
     often = seen.mean(0) >= FOLLOWED

@@ -12,7 +12,7 @@ from core.errors import BadInput
 from display.drawn_body import DrawnBody
 from prepare.fit.clip_masks import Clip, clip_masks
 from prepare.fit.clip_shake import camera_moves, moved, shift_of, steadied
-from prepare.fit.clip_tracks import Shot, markers_of, tracked
+from prepare.fit.clip_tracks import Shot, points_of, tracked
 from tests.support.filmed_block import (
     PIXELS,
     TIMES,
@@ -66,7 +66,7 @@ def test_a_hand_s_shake_is_taken_out(take, pixels):
     clip, cut, line = steadied(shaken, masks)
     assert (cut & where).sum() > 0.97 * (cut | where).sum() and line.endswith("px, taken out")
     block, camera = speckled_block(TRUE), camera_of()
-    drawn, rest = DrawnBody(block, *PIXELS), markers_of(block)
+    drawn, rest = DrawnBody(block, *PIXELS), points_of(block)
     one, other, raw = (
         tracked(drawn.picture, Shot(replace(c, pictures=c.pictures[:14]), m, camera, np.zeros((0, 4))), np.eye(4), rest)
         for c, m in ((still, where[:14]), (clip, cut[:14]), (shaken, masks[:14]))

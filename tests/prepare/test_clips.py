@@ -18,7 +18,7 @@ from prepare.fit.clip_tracks import (
     attached,
     clip_tracks,
     found_pose,
-    markers_of,
+    points_of,
     resting,
     tracked,
 )
@@ -185,7 +185,7 @@ def test_a_second_camera_shows_the_depth_that_one_does_not(block, clip, moving, 
 def test_a_thing_that_flies_fast_and_turns_is_followed_from_picture_to_picture(block):
     """It goes by 9 px and turns by 6 degrees from each picture to the next; a bar covers a part in one of them."""
     x = block.cage.vertices.astype(float)
-    rest, ways, middle = markers_of(block), [], x.mean(0)
+    rest, ways, middle = points_of(block), [], x.mean(0)
     camera = perspective(*PIXELS, 0.8, look_at(middle + [-0.06, 0.12, 0.5], middle))
     for k in range(12):
         pose = np.eye(4)

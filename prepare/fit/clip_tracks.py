@@ -15,6 +15,7 @@ from core.camera import Camera, directions_around
 from core.errors import BadInput
 from prepare.fit.clip_masks import Clip, flow_between
 from prepare.fit.marker_tracks import (
+    APART,
     OFF_THE_CAGE,
     MarkerTracks,
     Rig,
@@ -34,7 +35,6 @@ ROUNDS = 8  # of refining one by optical flow
 STEEP = 6.0  # [px] in depth over two pixels, beyond which a picture of a surface shows two of them
 POINTS, FEWEST_POINTS = 400, 20  # of the surface that a flow moves
 SHAPED = 0.6  # least overlap (intersection over union) of the body and the mask
-APART = 0.15  # of a body's size: what is farther from all planes does not lie on one; a pose is off by less
 FLAT, FOOT = 12.0, 0.05  # [degrees] of a side to a plane on which it lies, and its least share of the body's hull
 SPACING = 1 / 18  # of the body's size, between markers
 OPAQUE = 0.0  # least logit of a Gaussian's opacity that is a marker

@@ -18,6 +18,7 @@ from core.rotation import best_fit_rotation
 START_FRAMES = 5  # through whose places a parabola gives the start: a place and a speed less noisy than those of one
 FEWEST_FRAMES = 12
 OFF_THE_CAGE = 0.1  # of the body's extent: a marker further outside is on another body, or in other units
+APART = 0.15  # of a body's size: what is farther from all planes does not lie on one; a pose is off by less
 LARGEST_FILE = 1 << 30  # [bytes]
 OUTLIER_PIXELS = 2.0  # [px] at which a point, seen in a picture, counts half for a pose
 NEIGHBOURS = 6  # markers, whose mean motion is taken from a marker's where its noise is estimated
@@ -104,6 +105,10 @@ class MarkerTracks:
         if self.camera is None:
             return np.tile(np.eye(3), (len(places), 1, 1))
         return self.metres * self.camera.part(some).slopes(places)
+
+    def gaps(self, x: np.ndarray) -> np.ndarray:
+        """Distances (P,) [m] of points (V, 3) from the planes: the least, negative behind one."""
+        return (x @ self.planes[:, :3].T).min(0) - self.planes[:, 3]
 
     def is_held(self, x: np.ndarray, start: np.ndarray | None, wider: float = 0.0) -> np.ndarray:
         """Mask (V,) of a cage's vertices that stand still: in boxes of each camera that has some, `wider` [px] to each

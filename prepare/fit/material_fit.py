@@ -13,6 +13,7 @@ from core.material import RAYLEIGH_FREQUENCY, Material
 from prepare.fit.least_squares import BLOCKS, Fitted, Prior, minimise
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
 from prepare.fit.marker_tracks import (
+    APART,
     MarkerTracks,
     marker_weights,
     noise_of,
@@ -49,6 +50,7 @@ CHORD_STEPS, SMALL_CHORD = 3, 0.01  # steps with the coarse cage's derivatives, 
 BORDER, BORDERS = 3.0, 3  # [px] by which a box of what is held is made wider and narrower, so many times
 AS_LIKELY = 1.1  # of the least mean distance: what is left is the models', not noise, and bears no better test
 FAR_OFF = 1e3  # [m]
+READOUT = 0.01  # [s] from one edge of a picture to the other: unit of its parameters
 OFFSET = 0.5  # [px] by which a point of the surface is usually taken for another, where a clip begins
 
 
@@ -104,7 +106,12 @@ class MaterialFit:
 
 class MaterialProblem:
     """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, and
-    corrections of the start (of the velocity of a free body, and of the amplitude and speed of its slowest modes)."""
+    corrections of the start (of the velocity of a free body, and of the amplitude and speed of its slowest modes); and
+    in pictures, whose pixels are not taken at once, how long it takes from their left to right edge, and top to bottom.
+
+    What a body that falls on a plane does later than one time in which it topples over is left out: by then small
+    differences at the impact have grown.
+    """
 
     def __init__(self, tracks: MarkerTracks, vertices, tets, material: Material, roll: Roll, where: str):
         self.tracks, self.base, self.roll, self.where = tracks, material, roll, where
@@ -117,16 +124,17 @@ class MaterialProblem:
                     f"{where}: the held box contains {len(held)} vertices of the cage; at least 3 are needed"
                 )
         self.cage = CageOfMarkers(x, tets, held, marker_weights(x, tets, tracks.rest, where))
-        self.noise = noise_of(tracks)
-        self.check_motion()
         self.size = float(np.ptp(x, axis=0).max())
         self.shape = ElasticShape(x, tets, held, material.poisson, MODES)
         self._set_start()
+        self.tracks = tracks = self._before_toppling()
+        self.noise = noise_of(tracks)
+        self.check_motion()
         rubs = len(tracks.planes) > 0
         self.names = ["young", "damping", *(["friction"] if rubs else [])]
         self.main = len(self.names)
         self.rubs = rubs
-        log, each = np.log, np.ones(len(self.fields))
+        log, each, of_pictures = np.log, np.ones(len(self.fields)), np.ones(2 * (tracks.camera is not None))
         rows = {
             "centre": [log(material.young), log(1.5), 0.4],
             "spread": [6.0, 2.0, 1.0],
@@ -135,7 +143,9 @@ class MaterialProblem:
             "step": [0.02, 0.1, 0.02],
         }
         of_start = {"centre": 0.0, "spread": 20.0, "low": -200.0, "high": 200.0, "step": 1.0}
-        self.prior = Prior(**{n: np.r_[row[: self.main], of_start[n] * each] for n, row in rows.items()})
+        read = {"centre": 0.0, "spread": 2.0, "low": -5.0, "high": 5.0, "step": 0.1}
+        more = {n: np.r_[of_start[n] * each, read[n] * of_pictures] for n in rows}
+        self.prior = Prior(**{n: np.r_[row[: self.main], more[n]] for n, row in rows.items()})
 
     def explained(self, error: float, moved: float) -> bool:
         """True if the error [m] is so small a part of a motion [m] that this is the material's doing."""
@@ -183,6 +193,16 @@ class MaterialProblem:
             fields += [(2e-3 * self.size * mode, 0 * mode), (0 * mode, speed * mode)]
         self.fields = fields
 
+    def _before_toppling(self) -> MarkerTracks:
+        """The tracks; of a body that falls on a plane up to sqrt(size / g) after they meet, and NaN from then on."""
+        t = self.tracks
+        gaps = [t.gaps(self.x0 + s * self.v0 + s**2 / 2 * t.gravity) for s in t.times - t.times[0]]
+        if len(self.cage.held) or not len(t.planes) or np.abs(gaps[0]).min() < APART * self.size:
+            return t
+        met = t.times[(np.min(gaps, axis=1) < 0).argmax()]
+        late = t.times > met + np.sqrt(self.size / np.linalg.norm(t.gravity))
+        return replace(t, points=np.where(late[:, None, None], np.nan, t.points))
+
     def material(self, theta: np.ndarray) -> Material:
         """The material of parameters (P,)."""
         friction = float(theta[2]) if self.rubs else self.base.friction
@@ -197,7 +217,8 @@ class MaterialProblem:
     def candidate(self, theta: np.ndarray) -> tuple[Material, np.ndarray, np.ndarray]:
         """Material, positions and velocities at the start, (V, 3)."""
         x, v = self.x0.copy(), self.v0.copy()
-        for amount, (dx, dv) in zip(theta[self.main :], self.fields, strict=True):
+        amounts = theta[self.main : self.main + len(self.fields)]
+        for amount, (dx, dv) in zip(amounts, self.fields, strict=True):
             x += amount * dx
             v += amount * dv
         return self.material(theta), x, v
@@ -208,22 +229,27 @@ class MaterialProblem:
 
     def residuals(self, thetas: np.ndarray) -> np.ndarray:
         """Places less those seen, (C, N) in units of the noise; NaN where a marker is not seen."""
-        return self.compared(self.places(thetas))
+        return self.compared(self.places(thetas), thetas)
 
-    def compared(self, places: np.ndarray) -> np.ndarray:
-        """Residuals (C, N) of places of the markers (C, F, M, 3)."""
-        return self.off(places).reshape(len(places), -1) / self.noise
+    def compared(self, places: np.ndarray, thetas: np.ndarray) -> np.ndarray:
+        """Residuals (C, N) of places of the markers (C, F, M, 3), by parameters (C, P)."""
+        return self.off(places, thetas).reshape(len(places), -1) / self.noise
 
-    def off(self, places: np.ndarray) -> np.ndarray:
-        """Residuals (C, F, M, D) [m]: the observation of places (C, F, M, 3) [m] less that of the clip.
+    def off(self, places: np.ndarray, thetas: np.ndarray) -> np.ndarray:
+        """Residuals (C, F, M, D) [m]: the observation of places (C, F, M, 3) [m], by parameters (C, P), less that of
+        the clip.
 
-        In pictures it is not known exactly which point of the surface a marker is. With offsets of a spread p in noise
-        s, r - m + m s / sqrt(s^2 + n p^2), of mean m over n pictures, has independent entries again.
+        In pictures a marker is seen when its pixel is taken, and it is not known exactly which point of the surface it
+        is. With offsets of a spread p in noise s, r - m + m s / sqrt(s^2 + n p^2), of mean m over n pictures, has
+        independent entries again.
         """
         t = self.tracks
         seen = np.nan_to_num(t.observed(places), nan=FAR_OFF)  # of what exploded: NaN would count as not seen
         off = seen - t.points
         if t.camera is not None:
+            sizes = np.array([(c.width, c.height) for c in t.camera.cameras])[t.camera.of]
+            delay = READOUT * np.einsum("fmd,cd->cfm", t.points / t.metres / sizes - 0.5, thetas[:, -2:])
+            off += delay[..., None] * np.gradient(seen, t.times, axis=1)
             n = np.maximum(t.seen.sum(0), 1)[:, None]
             mean = np.nansum(off, axis=1, keepdims=True) / n
             off -= mean * (1 - self.noise / np.sqrt(self.noise**2 + n * (OFFSET * t.metres) ** 2))
@@ -231,8 +257,8 @@ class MaterialProblem:
 
     def blocks(self) -> np.ndarray:
         """The stretch of time of each residual, (N,)."""
-        frames, *each = self.tracks.points.shape
-        return np.repeat(np.arange(frames) * BLOCKS // frames, np.prod(each))
+        number = np.cumsum(self.tracks.seen.any(1))  # of a time, among those that count
+        return np.repeat((number - 1).clip(0) * BLOCKS // number[-1], np.prod(self.tracks.points.shape[1:]))
 
 
 def inner_motion(tracks: MarkerTracks) -> float:
@@ -319,7 +345,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     played = [theta, theta - np.log(2) * np.eye(len(theta))[0], theta + np.log(2) * np.eye(len(theta))[0]]
     places = problem.places(np.stack(played))
     modelled, halved, doubled = tracks.observed(places)
-    error = float(np.sqrt(np.nanmean((problem.off(places)[0] ** 2).sum(2))))
+    error = float(np.sqrt(np.nanmean((problem.off(places[:1], theta[None])[0] ** 2).sum(2))))
     travel = float(np.sqrt(np.nanmean(((tracks.points - np.nanmean(tracks.points, 0)) ** 2).sum(2))))
     moved = max(problem.inner, 0.25 * travel)
     if not problem.explained(error, moved):
@@ -375,7 +401,7 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
         cage, theta, least = replace(fine, held=held), trials[0], np.inf
         for _ in range(CHORD_STEPS + 1):
             made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, trials)]
-            rows = problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0))
+            rows = problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0), np.asarray(trials))
             losses = np.nanmean(np.abs(rows), axis=1)
             best = int(losses.argmin())
             if not losses[best] < (1 - SMALL_CHORD) * least:
@@ -426,7 +452,7 @@ def numbers_of(
     slowest = problem.shape.stiffness[0] * np.exp(fitted.theta[0]) / problem.base.density  # squared frequency [1/s^2]
     lag = min(1 / RAYLEIGH_FREQUENCY**2, LONGEST_LAG / np.exp(fitted.theta[1]))  # [s^2] of inner friction / damping
     half[1] = np.hypot(half[1], slowest * lag)
-    per_unit = problem.noise * np.sqrt(problem.tracks.points.shape[2] * (fitted.jacobian**2).mean(0))  # [m]
+    per_unit = problem.noise * np.sqrt((fitted.jacobian**2).sum(0) / problem.tracks.seen.sum())  # [m]
     half = np.minimum(np.hypot(half, left / np.maximum(per_unit, 1e-9)), 99.0)  # of which exp() is still finite
     pressed = left**2 < UNEXPLAINED * problem.inner**2 or problem.inner < STILL * problem.noise
     found = []

@@ -16,6 +16,7 @@ from core.point_location import TetLocator
 from core.rotation import best_fit_rotation
 
 START_FRAMES = 5  # through whose places a parabola gives the start: a place and a speed less noisy than those of one
+FLIGHT_FRAMES = 3  # through whose places a line does, where gravity alone bends their way
 FEWEST_FRAMES = 12
 OFF_THE_CAGE = 0.1  # of the body's extent: a marker further outside is on another body, or in other units
 APART = 0.15  # of a body's size: what is farther from all planes does not lie on one; a pose is off by less
@@ -222,12 +223,16 @@ def noise_of(tracks: MarkerTracks) -> float:
     return float(max(spread, 1e-5 * extent))
 
 
-def start_of(tracks: MarkerTracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places [m] and velocities [m/s] of the markers at the first time, (M, D) each; and which are known, (M,)."""
+def start_of(tracks: MarkerTracks, fallen: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places [m] and velocities [m/s] of the markers at the first time, (M, D) each; and which are known, (M,).
+
+    fallen  (F, M, D) [m] part of their ways that is gravity's, of what flies
+    """
+    frames, ways = (START_FRAMES, tracks.points) if fallen is None else (FLIGHT_FRAMES, tracks.points - fallen)
     place, velocity = np.zeros_like(tracks.points[0]), np.zeros_like(tracks.points[0])
     known = np.zeros(len(tracks.rest), bool)
     for rows, group in tracks.by_camera():
-        t, points = tracks.times[rows[:START_FRAMES]] - tracks.times[0], tracks.points[rows[:START_FRAMES]]
+        t, points = tracks.times[rows[:frames]] - tracks.times[0], ways[rows[:frames]]
         seen = np.isfinite(points).all(2)
         known |= group & (seen.sum(0) >= 3)
         for m in np.flatnonzero(known & group):

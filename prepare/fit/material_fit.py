@@ -175,6 +175,11 @@ class MaterialProblem:
             )
         else:
             self.x0 = t.start
+        self.flies = free and (not len(t.planes) or np.abs(t.gaps(self.x0)).min() > APART * self.size)
+        if self.flies:
+            fall, at = (t.times - t.times[0])[:, None, None] ** 2 / 2 * t.gravity, c.weights @ self.x0
+            _, velocity, known = start_of(t, t.observed(at + fall) - t.observed(at))
+            W = c.weights[known]
         seen = t.slopes(W @ self.x0, known)
         speed = max(0.02 * float(np.sqrt((velocity[known] ** 2).mean())), 2e-3 * self.size / 0.1)
         fields = []
@@ -187,7 +192,8 @@ class MaterialProblem:
             amount = np.linalg.lstsq(A, velocity[known].ravel(), rcond=None)[0]
             v = np.tensordot(amount, np.stack(rigid), 1)
             fields += [(0 * r, speed * field) for field in rigid]
-        v += self.shape.through(W, seen @ R, velocity[known] - np.einsum("mij,mj->mi", seen, W @ v)) @ R.T
+        if not (self.flies and len(t.planes)):
+            v += self.shape.through(W, seen @ R, velocity[known] - np.einsum("mij,mj->mi", seen, W @ v)) @ R.T
         self.v0 = v
         for mode in self.shape.modes @ R.T:
             fields += [(2e-3 * self.size * mode, 0 * mode), (0 * mode, speed * mode)]
@@ -196,11 +202,11 @@ class MaterialProblem:
     def _before_toppling(self) -> MarkerTracks:
         """The tracks; of a body that falls on a plane up to sqrt(size / g) after they meet, and NaN from then on."""
         t = self.tracks
-        gaps = [t.gaps(self.x0 + s * self.v0 + s**2 / 2 * t.gravity) for s in t.times - t.times[0]]
-        if len(self.cage.held) or not len(t.planes) or np.abs(gaps[0]).min() < APART * self.size:
+        if not (self.flies and len(t.planes)):
             return t
-        met = t.times[(np.min(gaps, axis=1) < 0).argmax()]
-        late = t.times > met + np.sqrt(self.size / np.linalg.norm(t.gravity))
+        gaps = [t.gaps(self.x0 + s * self.v0 + s**2 / 2 * t.gravity) for s in t.times - t.times[0]]
+        meets = np.min(gaps, axis=1) < 0
+        late = t.times > t.times[meets.argmax() if meets.any() else -1] + np.sqrt(self.size / np.linalg.norm(t.gravity))
         return replace(t, points=np.where(late[:, None, None], np.nan, t.points))
 
     def material(self, theta: np.ndarray) -> Material:

@@ -273,6 +273,44 @@ def test_a_free_body_seen_by_one_camera_sets_off_as_it_was_thrown():
     assert abs(middle[2]) < 0.3 and np.abs(problem.v0 - middle).max() < 0.8
 
 
+def test_what_falls_sets_off_as_gravity_says_and_counts_until_it_would_topple():
+    """Thrown at a floor from 10 cm above it; what is seen later, of a thing that lies on the floor all, counts."""
+    camera = perspective(480, 360, 0.6, look_at((0.1, 0.1, 0.8), (0.12, 0.0, 0.0)))
+    rng, times, metres = np.random.default_rng(4), np.arange(FRAMES) / 60, 0.8 / camera.fx
+    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
+    rest, thrown = rng.uniform(0, 1, (40, 3)) * SIZE, np.array([0.3, -0.2, 0.0])
+    ways = rest + times[:, None, None] * thrown + times[:, None, None] ** 2 / 2 * GRAVITY
+    seen = metres * (np.stack(camera.projected(ways)[:2], -1) + 0.2 * rng.normal(size=(FRAMES, 40, 2)))
+    met = (np.sqrt(0.2**2 + 2 * 9.81 * 0.1) - 0.2) / 9.81
+    for below, last in ((0.1, met + np.sqrt(0.24 / 9.81)), (0.0, times[-1])):
+        planes, rig = np.array([[0.0, 1.0, 0.0, -below]]), Rig((camera,), np.zeros(40, int))
+        tracks = MarkerTracks(times, seen, rest, None, np.inf, np.eye(4), planes, GRAVITY, rig, metres, x.astype(float))
+        problem = MaterialProblem(tracks, x, tets, ASSET, roll, "clip")
+        assert abs(times[problem.tracks.seen.any(1)][-1] - last) < 2 / 60 and np.isfinite(tracks.points).all()
+        assert np.unique(problem.blocks()[problem.tracks.seen.repeat(2)]).size == 10
+        if below:
+            assert np.abs(problem.v0 - thrown).max() < 0.15
+
+
+def test_rows_of_a_picture_that_are_taken_one_after_the_other_are_told_from_deformation():
+    """A film of which a picture takes 20 ms from its top to its bottom."""
+    camera, (x, tets, _) = (
+        perspective(480, 360, 0.6, look_at((0.05, 0.1, 0.5), (0.12, 0.0, 0.0))),
+        box_mesh(SIZE, (8, 1, 1)),
+    )
+    tracks, kept, rng = seen_by(camera, x), {}, np.random.default_rng(3)
+    problem = MaterialProblem(tracks, x, tets, ASSET, roll, "clip")
+    fine = roll(problem.cage, [(TRUE, x, 0 * x)], np.arange(16 * FRAMES) / 960)[:, 0]
+    u, v, _ = camera.projected(fine)
+    late = 16 * np.arange(FRAMES)[:, None] + np.round(0.02 * 960 * (v[::16] / 360 - 0.5)).astype(int)
+    late = late.clip(0, 16 * FRAMES - 1), np.arange(12)
+    rolled = np.stack([u[late], v[late]], -1) + 0.2 * rng.normal(size=(FRAMES, 12, 2))
+    problem = MaterialProblem(replace(tracks, points=tracks.metres * rolled), x, tets, ASSET, roll, "clip")
+    found = fit_material(problem, no_progress, lambda n, make: kept.setdefault(n, make()), mass_known=True)
+    np.testing.assert_allclose(kept["fit"]["theta"][-1] * material_fit.READOUT, 0.02, rtol=0.2)
+    np.testing.assert_allclose(found.numbers[0].played, TRUE.young, rtol=0.03)
+
+
 def test_the_scan_begins_with_what_hardly_bears_its_own_weight():
     """Young's modulus at which a column sags by a sixth of its height: 3 rho g L."""
     x, tets, _ = box_mesh(SIZE, (8, 1, 1))

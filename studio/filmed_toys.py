@@ -91,9 +91,11 @@ CLIPS = {
     "parcel_slower": FilmedToy("box_parcel", 1e5, 10.0, friction=0.4, tilt=30.0, seconds=0.9),
     "crate_sliding": FilmedToy("box_crate", 1e6, 10.0, friction=0.1, tilt=12.0, seconds=0.8),
     "tin_sliding": FilmedToy("box_tin", 1e6, 10.0, friction=0.55, tilt=38.0, seconds=0.8),
-    "cat_dropped": FilmedToy("toy_cat", 1.5e4, 6.0, tilt=0.0, drop=0.1, lean=10.0, seconds=0.7),
-    "jelly_dropped": FilmedToy("jelly_bear", 1.2e4, 5.0, tilt=0.0, drop=0.05, lean=10.0, seconds=0.6),
-    "teddy_dropped": FilmedToy("toy_teddy", 3e4, 4.0, tilt=0.0, drop=0.1, lean=-12.0, turn=20.0, seconds=0.7),
+    "cat_dropped": FilmedToy("toy_cat", 1.5e4, 6.0, tilt=0.0, drop=0.1, lean=10.0, fps=120.0, seconds=0.4),
+    "jelly_dropped": FilmedToy("jelly_bear", 1.2e4, 5.0, tilt=0.0, drop=0.05, lean=10.0, fps=120.0, seconds=0.3),
+    "teddy_dropped": FilmedToy(
+        "toy_teddy", 3e4, 4.0, tilt=0.0, drop=0.1, lean=-12.0, turn=20.0, fps=120.0, seconds=0.4
+    ),
     "cat_thrown": FilmedToy("toy_cat", 1.5e4, 6.0, push=(0.6, 1.5, 0), spin=(0, 0, -1.5), bend=0.015, seconds=0.5),
 }
 

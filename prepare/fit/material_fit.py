@@ -328,9 +328,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
         start = problem.prior.centre.copy()
         if problem.rubs:
             start[2] = FIRST_FRICTION
-        if (
-            problem.rubs and not problem.flies
-        ):  # what slides hides its stiffness: first its way, as the asset's material
+        if problem.rubs and not problem.flies:  # what slides hides its stiffness: its way first, as of the asset
             start = minimise(problem.residuals, start, problem.prior, 1.0).theta
         progress("scan", 0.3)
         thetas = np.tile(start, (len(youngs), 1))

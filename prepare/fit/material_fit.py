@@ -38,7 +38,7 @@ FINE_DAMPINGS = (0.5, 4.0)  # [1/s]
 FIRST_FRICTION = 0.25  # slides on most slopes: what sticks says nothing of how much less would let it slide
 UNITS = {"young": "Pa", "damping": "1/s", "friction": ""}
 LONGEST_LAG = 1 / 1260  # [s] of inner friction in the simulator: its substep; other integrators take less
-MODES = 2  # whose amplitude and speed at the start are fitted
+MODES, FREE_MODES = 2, 5  # whose amplitude and speed at the start are fitted, of a body that is held and of a free one
 NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
 FRICTION_NOT_VISIBLE = 0.25
 STILL = 4.0  # deviations of the noise by which markers must move against each other
@@ -88,7 +88,7 @@ class MaterialFit:
     scan      Young's moduli [Pa] and mean distances [m], (n, 2)
     modelled  what is observed of the markers [m], (F, M, D);   by_factor  with E halved and doubled, by the factor
     played    the candidates of those three: material, positions and velocities at the start
-    error, moved  root mean squares [m]: what is left, and how far markers moved against the whole
+    error, moved  root mean squares [m]: what is left, by the fit's weights, and how far markers moved against the whole
     """
 
     material: Material
@@ -125,7 +125,7 @@ class MaterialProblem:
                 )
         self.cage = CageOfMarkers(x, tets, held, marker_weights(x, tets, tracks.rest, where))
         self.size = float(np.ptp(x, axis=0).max())
-        self.shape = ElasticShape(x, tets, held, material.poisson, MODES)
+        self.shape = ElasticShape(x, tets, held, material.poisson, MODES if len(held) else FREE_MODES)
         self._set_start()
         self.tracks = tracks = self._before_toppling()
         self.noise = noise_of(tracks)
@@ -192,6 +192,8 @@ class MaterialProblem:
             amount = np.linalg.lstsq(A, velocity[known].ravel(), rcond=None)[0]
             v = np.tensordot(amount, np.stack(rigid), 1)
             fields += [(0 * r, speed * field) for field in rigid]
+            if self.flies:
+                fields += [(2e-3 * self.size * field, 0 * r) for field in rigid]
         if not (self.flies and len(t.planes)):
             v += self.shape.through(W, seen @ R, velocity[known] - np.einsum("mij,mj->mi", seen, W @ v)) @ R.T
         self.v0 = v
@@ -352,7 +354,8 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     played = [theta, theta - np.log(2) * np.eye(len(theta))[0], theta + np.log(2) * np.eye(len(theta))[0]]
     places = problem.places(np.stack(played))
     modelled, halved, doubled = tracks.observed(places)
-    error = float(np.sqrt(np.nanmean((problem.off(places[:1], theta[None])[0] ** 2).sum(2))))
+    unit = problem.noise * np.sqrt(tracks.points.shape[2])
+    error = unit * fitted.left(fitted.residuals)
     travel = float(np.sqrt(np.nanmean(((tracks.points - np.nanmean(tracks.points, 0)) ** 2).sum(2))))
     moved = max(problem.inner, 0.25 * travel)
     if not problem.explained(error, moved):
@@ -363,8 +366,9 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     progress("interval", 0.2)
     limit = keep("cage", lambda: limit_of(problem, fitted, lambda done: progress("interval", 0.2 + 0.8 * done)))
     progress("interval", 1.0)
-    left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
-    numbers = numbers_of(problem, fitted, limit, mass_known, left)
+    left = np.sqrt(max(error**2 - unit**2, 0.0))
+    explained = problem.explained(min(left, unit * float(limit["left"])), problem.inner)
+    numbers = numbers_of(problem, fitted, limit, mass_known, left, explained)
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
     return MaterialFit(
         material=replace(problem.base, **seen, **({"kinetic_friction": None} if "friction" in seen else {})),
@@ -382,8 +386,8 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
 
 
 def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]) -> dict[str, np.ndarray]:
-    """The shift (P,) of the parameters to a cage so fine that its size does not matter, and their spread (P,) to both
-    sides, as what is held is not known exactly.
+    """The shift (P,) of the parameters to a cage so fine that its size does not matter, their spread (P,) to both
+    sides, as what is held is not known exactly, and what is then left of the residuals.
 
     The motion is fitted once more with the cage cut in eight, a large one as it is, by steps with the derivatives of
     the first fit, from the Young's modulus at which the slowest mode is as fast. Errors of linear tets fall with the
@@ -394,7 +398,7 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
     cage, tracks, theta = problem.cage, problem.tracks, fitted.theta
     large, boxed = len(cage.vertices) > MOST_REFINED, tracks.camera is not None and len(cage.held) > 0
     if large and not boxed:
-        return {"shift": np.zeros_like(theta), "spread": np.zeros_like(theta)}
+        return {"shift": 0 * theta, "spread": 0 * theta, "left": fitted.left(fitted.residuals)}
     as_it_is = cage.vertices, cage.tets, sp.identity(len(cage.vertices), format="csr")
     x, tets, W = as_it_is if large else subdivided(cage.vertices, cage.tets)
     fine = CageOfMarkers(x, tets, cage.held, marker_weights(x, tets, tracks.rest, problem.where))
@@ -404,8 +408,8 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
         found = ElasticShape(x, tets, held, problem.base.poisson, 1).stiffness[0]
         return np.log(found) if found > 0 else np.nan
 
-    def fitted_again(held: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, float]:
-        cage, theta, least = replace(fine, held=held), trials[0], np.inf
+    def fitted_again(held: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, float, float]:
+        cage, theta, least, left = replace(fine, held=held), trials[0], np.inf, np.inf
         for _ in range(CHORD_STEPS + 1):
             made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, trials)]
             rows = problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0), np.asarray(trials))
@@ -413,10 +417,10 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
             best = int(losses.argmin())
             if not losses[best] < (1 - SMALL_CHORD) * least:
                 break
-            theta, least = trials[best], float(losses[best])
+            theta, least, left = trials[best], float(losses[best]), fitted.left(rows[best])
             step = np.outer((1.0, 0.4), fitted.shift(rows[best]))
             trials = np.clip(theta + step, problem.prior.low, problem.prior.high)
-        return theta, least
+        return theta, least, left
 
     same = np.flatnonzero(np.asarray((W[:, cage.held] if len(cage.held) else W[:, :0]).sum(1)).ravel() > 0.999)
     held, begin = [same], 0
@@ -441,18 +445,24 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
         if 0 <= beyond < len(held) and np.isfinite(stiff[beyond]):
             ends.append(found[k][0] + 0.5 * (stiff[k] - stiff[beyond]) * first)
     low, high = np.min(ends, 0), np.max(ends, 0)
-    return {"shift": (low + high) / 2 - theta - (slowest - level) / 3 * first, "spread": (high - low) / 2}
+    shift = (low + high) / 2 - theta - (slowest - level) / 3 * first
+    return {"shift": shift, "spread": (high - low) / 2, "left": min(found[k][2] for k in kept)}
 
 
 def numbers_of(
-    problem: MaterialProblem, fitted: Fitted, limit: dict[str, np.ndarray], mass_known: bool, left: float
+    problem: MaterialProblem,
+    fitted: Fitted,
+    limit: dict[str, np.ndarray],
+    mass_known: bool,
+    left: float,
+    explained: bool,
 ) -> tuple[Number, ...]:
     """The numbers with their intervals: by the residuals, half of what the cage's size changes, and what is held.
 
     No number is known better than to what would move markers by `left` [m], which noise does not explain. Where that is
-    much of their motion against each other, neither stiffness nor damping is seen, nor the friction of a thing that
-    deforms, as at impacts. Solvers take less inner friction than a material has, down to none: as much of the damping
-    as this may be is in its interval.
+    much of their motion against each other, friction of a thing that deforms is not seen, as at impacts; nor stiffness
+    and damping, unless their motion is `explained` by a finer cage. Solvers take less inner friction than a material
+    has, down to none: as much of the damping as this may be is in its interval.
     """
     shift, spread = limit["shift"], limit["spread"]
     half = np.sqrt(fitted.half_widths(problem.blocks()) ** 2 + (0.5 * shift) ** 2 + spread**2)
@@ -470,7 +480,7 @@ def numbers_of(
             seen, ends[1] = bool(pressed and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
         else:
             within = ends[1] > problem.prior.low[k] and ends[2] < problem.prior.high[k]
-            seen = bool(problem.explained(left, problem.inner) and within and half[k] < NOT_VISIBLE)
+            seen = bool(explained and within and half[k] < NOT_VISIBLE)
             ends = np.exp(ends).tolist()
         found.append(Number(name, UNITS[name], *ends, seen))
     if not mass_known:  # gravity and what stands still do not show the mass: only E / rho is seen

@@ -22,6 +22,7 @@ OFF_THE_CAGE = 0.1  # of the body's extent: a marker further outside is on anoth
 APART = 0.15  # of a body's size: what is farther from all planes does not lie on one; a pose is off by less
 LARGEST_FILE = 1 << 30  # [bytes]
 OUTLIER_PIXELS = 2.0  # [px] at which a point, seen in a picture, counts half for a pose
+FLOW = 0.1  # [px] that optical flow is off at least, of neighbours alike
 NEIGHBOURS = 6  # markers, whose mean motion is taken from a marker's where its noise is estimated
 
 
@@ -220,7 +221,8 @@ def noise_of(tracks: MarkerTracks) -> float:
     third = third[np.isfinite(third)]
     spread = 1.4826 * np.median(np.abs(third)) / np.sqrt(20) if third.size else 0.0  # 1 + 9 + 9 + 1
     extent = np.nanmax(np.ptp(tracks.rest, axis=0))
-    return float(max(spread, 1e-5 * extent))
+    least = 1e-5 * extent if tracks.camera is None else FLOW * tracks.metres
+    return float(max(spread, least))
 
 
 def start_of(tracks: MarkerTracks, fallen: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 
 import core  # noqa: F401  before Taichi, in whose place VRGS_BACKEND may put another
+from core.runtime import hasten_front_end
 from tests.support.runtime import runtime
+
+hasten_front_end()  # before modules with kernels are imported
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # also in programs that tests start
 

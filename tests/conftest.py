@@ -11,9 +11,8 @@ import core  # noqa: F401  before Taichi, in whose place VRGS_BACKEND may put an
 from core.runtime import hasten_front_end
 from tests.support.runtime import runtime
 
-hasten_front_end()  # before modules with kernels are imported
-
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # also in programs that tests start
+hasten_front_end()  # before modules with kernels are imported
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs and their children ignore it
 

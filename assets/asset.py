@@ -9,20 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from assets import quantisation
 from assets.animation import Animation, read_animation, write_animation
 from assets.environment import Environment, read_environment, write_environment
 from assets.file_access import atomic_write
 from assets.fitted_clip import FittedClip, read_clip_group, write_clip
 from assets.gaussians import ROWS, Gaussians, usable_view
 from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset, write_text
-from assets.quantisation import (
-    read_grid,
-    read_quantised_embedding,
-    read_quantised_gaussians,
-    write_grid,
-    write_quantised_embedding,
-    write_quantised_gaussians,
-)
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
@@ -202,7 +195,7 @@ class Asset:
         """Read and check an asset file. Raises BadInput."""
         with open_hdf5(Path(path)) as file:
             quantised = _version(file) == QUANTISED
-            gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
+            gaussians = quantisation.read_quantised_gaussians(file) if quantised else _read_gaussians(file)
             objects = file.json("", "objects", tuple[str, ...], default="[]")
             antialias = file.has_attribute("", "antialias") and file.number("", "antialias") == 1
             sort = file.text("", "sort", default="")
@@ -219,7 +212,7 @@ class Asset:
                     raise file.error("has an embedding but no cage")
                 gaussians.check(str(path))  # the weights are computed from both
                 cage.check(str(path))
-                embedding = CageEmbedding(*read_quantised_embedding(file, gaussians, cage))
+                embedding = CageEmbedding(*quantisation.read_quantised_embedding(file, gaussians, cage))
             elif file.has("embedding"):
                 host = file.indices("embedding/host", (None, 4))
                 embedding = CageEmbedding(host, file.floats("embedding/weights", (len(host), 4, 4)))
@@ -227,7 +220,7 @@ class Asset:
                 gaussians,
                 cage,
                 embedding,
-                read_grid(file, "sdf/values") if file.has("sdf") else None,
+                quantisation.read_grid(file, "sdf/values") if file.has("sdf") else None,
                 read_material(file),
                 file.json("", "provenance", dict[str, Any]),
                 read_environment(file) if file.has("stage") else None,
@@ -261,9 +254,11 @@ class Asset:
             if self.cage is not None:
                 lossless.append(("cage", self.cage, ("vertices", "tets", "surface")))
             if quantised:
-                write_quantised_gaussians(file, self.gaussians)
+                quantisation.write_quantised_gaussians(file, self.gaussians)
             if self.embedding is not None and quantised:
-                write_quantised_embedding(file, self.embedding.host, self.embedding.weights, self.gaussians, self.cage)
+                quantisation.write_quantised_embedding(
+                    file, self.embedding.host, self.embedding.weights, self.gaussians, self.cage
+                )
             elif self.embedding is not None:
                 lossless.append(("embedding", self.embedding, ("host", "weights")))
             for group, arrays, names in lossless:
@@ -271,7 +266,7 @@ class Asset:
                     dtype = INTEGER_DATASETS.get(name, np.float32)
                     write_dataset(file, f"{group}/{name}", getattr(arrays, name), dtype)
             if self.sdf is not None:
-                write_grid(file, "sdf/values", self.sdf, quantised=quantised)
+                quantisation.write_grid(file, "sdf/values", self.sdf, quantised=quantised)
             if self.environment is not None:
                 write_environment(file, self.environment, quantised=quantised)
             if self.material is not None:

@@ -232,6 +232,11 @@ def drawable_gaussians(
     return Gaussians.of(*columns, **about)
 
 
+def symmetric_matrices(six: np.ndarray) -> np.ndarray:
+    """Matrices (N, 3, 3) of (xx, xy, xz, yy, yz, zz), (N, 6)."""
+    return six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+
+
 def robust_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner (3,) of all but the outermost 0.5 % of points (N, 3) on each side."""
     low, high = np.percentile(points, [0.5, 99.5], axis=0)

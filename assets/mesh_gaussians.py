@@ -19,20 +19,10 @@ from scipy.spatial.transform import Rotation
 from assets.file_access import file_size
 from assets.formats.gltf import srgb_from_linear
 from assets.gaussians import MAGNITUDE_MAX, Gaussians, concatenate
+from core import mesh_sampling
 from core.errors import BadInput
-from core.mesh_sampling import (
-    EdgePoints,
-    HalfEdges,
-    Mesh,
-    blue_noise,
-    clip_to_edges,
-    distance_to_edges,
-    edges_of,
-    face_normals,
-    points_along,
-    rows_along,
-)
 from core.spherical_harmonics import C0
+from core.tetmesh import triangle_areas
 
 GREY = 0.7  # display value of a mesh without colours
 FACES_MAX = 5_000_000
@@ -123,7 +113,7 @@ def texture_colours(part: MeshPart, face: np.ndarray, weights: np.ndarray, spaci
         return rgba
     height, width = part.texture.shape[:2]
     corners = np.nan_to_num(part.uv)
-    (d, e), area = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0), triangle_areas(part.vertices[part.faces]).sum()
+    (d, e), area = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0), triangle_areas(part.vertices, part.faces).sum()
     covered = 0.5 * np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]).sum() * width * height  # [texels]
     texels_per_length = np.sqrt(covered / max(area, 1e-30))
     factor = min(1.0, 1.0 / (max(texels_per_length, 1e-30) * spacing))
@@ -155,10 +145,10 @@ def read_mesh_gaussians(path: str | Path, report: Callable[[str], None] = print)
         raise BadInput(f"{path}: the mesh has no extent")
     unit = LENGTH / extent
     welded = [welded_part(p, low, unit) for p in parts]
-    area = sum(triangle_areas(p.vertices[p.faces]).sum() for p in welded)
+    area = sum(triangle_areas(p.vertices, p.faces).sum() for p in welded)
     if not area > 0.0:
         raise BadInput(f"{path}: the mesh has no area")
-    edges = [edges_of(Mesh(p.vertices, p.faces)) for p in welded]
+    edges = [mesh_sampling.edges_of(mesh_sampling.Mesh(p.vertices, p.faces)) for p in welded]
     length = sum(np.linalg.norm(e.b - e.a, axis=1).sum() for e in edges)
     spacing, rng = float(max(np.sqrt(DENSITY * area / GAUSSIANS), length / ROWS_MAX)), np.random.default_rng(0)
     covered = concatenate([cover(p, e, spacing, rng) for p, e in zip(welded, edges, strict=True)])
@@ -172,25 +162,20 @@ def welded_part(part: MeshPart, low: np.ndarray, unit: float) -> MeshPart:
     x = (part.vertices - low) * unit
     _, first, inverse = np.unique(np.round(x * 1e6).astype(np.int64), axis=0, return_index=True, return_inverse=True)
     faces = inverse.reshape(-1)[part.faces]
-    whole = triangle_areas(x[first][faces]) > 0.0
+    whole = triangle_areas(x[first], faces) > 0.0
     uv = None if part.uv is None else part.uv[whole]
     return MeshPart(x[first], faces[whole], part.colours[whole], uv, part.texture)
 
 
-def triangle_areas(corners: np.ndarray) -> np.ndarray:
-    """Areas (F,) of triangles (F, 3, 3)."""
-    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-
-
-def cover(part: MeshPart, edges: HalfEdges, spacing: float, rng: np.random.Generator) -> Gaussians:
+def cover(part: MeshPart, edges: mesh_sampling.HalfEdges, spacing: float, rng: np.random.Generator) -> Gaussians:
     """Gaussians `spacing` [m] apart on a part, and rows of them along its creases and borders."""
     from trimesh.triangles import points_to_barycentric
 
-    mesh = Mesh(part.vertices, part.faces)
-    corners, normal = mesh.vertices[mesh.faces], face_normals(mesh)
-    total = np.cumsum(triangle_areas(corners))
+    mesh = mesh_sampling.Mesh(part.vertices, part.faces)
+    corners, normal = mesh.vertices[mesh.faces], mesh_sampling.face_normals(mesh)
+    total = np.cumsum(triangle_areas(mesh.vertices, mesh.faces))
     along = np.full(len(edges.a), spacing)
-    edge_points = points_along(edges, along)
+    edge_points = mesh_sampling.points_along(edges, along)
     points, face = np.zeros((0, 3)), np.zeros(0, int)
     for _ in range(ROUNDS if len(total) else 0):
         count = rng.poisson(CANDIDATES * total[-1] / spacing**2) + 1
@@ -198,25 +183,25 @@ def cover(part: MeshPart, edges: HalfEdges, spacing: float, rng: np.random.Gener
         r, t = np.sqrt(rng.random(count)), rng.random(count)
         x = np.einsum("nk,nkd->nd", np.stack([1 - r, r * (1 - t), r * t], 1), corners[some])
         free, near = np.ones(count, bool), near_edges(edge_points, x, spacing)
-        away = distance_to_edges(edge_points, x[near], normal[some[near]], 2 * spacing)
+        away = mesh_sampling.distance_to_edges(edge_points, x[near], normal[some[near]], 2 * spacing)
         free[near] = away >= EDGE_CLEARANCE * spacing
         x, some = x[free], some[free]
-        kept = blue_noise(x, normal[some], spacing, (points, normal[face]))
+        kept = mesh_sampling.blue_noise(x, normal[some], spacing, (points, normal[face]))
         points, face = np.concatenate([points, x[kept]]), np.concatenate([face, some[kept]])
     normals = normal[face]
     flat = np.eye(3) - normals[:, :, None] * normals[:, None]
-    row_points, row_covariance, row_edge = rows_along(edges, along)
+    row_points, row_covariance, row_edge = mesh_sampling.rows_along(edges, along)
     points, face = np.concatenate([points, row_points]), np.concatenate([face, edges.face[row_edge]])
     normals = normal[face]
     covariance = np.concatenate([(SIGMA * spacing) ** 2 * flat, row_covariance])
     near = near_edges(edge_points, points, spacing)
-    covariance[near] = clip_to_edges(edge_points, points[near], normals[near], covariance[near])
+    covariance[near] = mesh_sampling.clip_to_edges(edge_points, points[near], normals[near], covariance[near])
     weights = points_to_barycentric(corners[face], points, method="cross")  # exact for slivers, too
     rgba = texture_colours(part, face, weights, spacing)
     return gaussians_of(points, normals, covariance, rgba, spacing)
 
 
-def near_edges(edges: EdgePoints, points: np.ndarray, spacing: float) -> np.ndarray:
+def near_edges(edges: mesh_sampling.EdgePoints, points: np.ndarray, spacing: float) -> np.ndarray:
     """Indices of the points near an edge, for which alone the exact search is worth its time."""
     if not len(edges.points):
         return np.zeros(0, int)

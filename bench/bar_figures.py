@@ -16,7 +16,7 @@ import taichi as ti
 from scipy.spatial import cKDTree
 
 from assets.asset import Asset
-from assets.gaussians import Gaussians
+from assets.gaussians import Gaussians, symmetric_matrices
 from assets.orientation import turned_about_up
 from bench.render_speed import box_surface
 from core.camera import look_at, perspective
@@ -75,11 +75,6 @@ def deformed(x: np.ndarray, turn: float | None, axis: int = 1) -> tuple[np.ndarr
     return y, F
 
 
-def covariances(six: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) of (xx, xy, xz, yy, yz, zz)."""
-    return six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).astype(np.float64)
-
-
 class CarriedGaussians:
     """Gaussians that an asset's cage carries by a scheme, and their splats if given."""
 
@@ -98,8 +93,8 @@ class CarriedGaussians:
         self.x.from_numpy(y[:n].astype(np.float32))
         self.embedding.deform(self.x, *self.out)
         F = F[n:]
-        exact = F @ covariances(self.g.covariances) @ np.moveaxis(F, 1, 2)
-        return covariances(self.out[1].to_numpy()[: len(self.g)]), exact
+        exact = F @ symmetric_matrices(self.g.covariances) @ np.moveaxis(F, 1, 2)
+        return symmetric_matrices(self.out[1].to_numpy()[: len(self.g)].astype(np.float64)), exact
 
 
 def all_alike(g: Gaussians) -> Gaussians:

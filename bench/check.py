@@ -35,7 +35,7 @@ MEASUREMENTS: tuple[Callable[..., list[dict]], ...] = (
     physics.cuda_and_cpu,
 )
 QUICK = {  # arguments of their quick form
-    physics.swings: {"seconds": 0.25},
+    physics.swings: {"seconds": 0.25, "step": 1 / 20_000},
     physics.energy_kept: {"substeps": 50_000, "vbd_substeps": 20_000},
     physics_contact.momentum_kept: {"stiffnesses": (("vbd", 1e6), ("vbd", 1e8), ("xpbd", 1e6))},
     physics_contact.ring_throws: {"count": 15, "seconds": 0.5},

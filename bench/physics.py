@@ -367,12 +367,12 @@ def bent(x: np.ndarray, length: float, stretch: float, angle: float) -> np.ndarr
     return np.stack([center[0] - np.sin(turned) * x[:, 1], center[1] + np.cos(turned) * x[:, 1], x[:, 2]], 1)
 
 
-def swings(seconds: float = 1.0) -> list[dict]:
-    """Undamped bars, pinned at one end and let go bent and stretched, against a velocity Verlet of 1/60,000 s.
+def swings(seconds: float = 1.0, step: float = 1 / 60_000) -> list[dict]:
+    """Undamped bars, pinned at one end and let go bent and stretched, against a velocity Verlet of `step` [s].
 
     Root mean square of the vertices' distances from there, relative to that of their first displacement.
     """
-    step, rows = 1 / 60_000, []
+    rows = []
     for name, size, cells, stretch, angle in SWINGS:
         x, tets, surface = box(size, cells)
         x = x - [0, size[1] / 2, size[2] / 2]

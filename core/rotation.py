@@ -90,7 +90,7 @@ def turns_to(normals: np.ndarray, half_angles: np.ndarray) -> np.ndarray:
     """Quaternions wxyz that turn +z to normals (N, 3) of any length, after a turn about +z, (N, 4); not normalised."""
     z = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     to = np.stack([1 + z[:, 2], -z[:, 1], z[:, 0], np.zeros(len(z))], 1)
-    to[z[:, 2] < -0.999] = [0, 1, 0, 0]
+    to[z[:, 2] < 1e-12 - 1] = [0, 1, 0, 0]
     return multiply_quaternions(to, np.stack([np.cos(half_angles), *np.zeros((2, len(z))), np.sin(half_angles)], 1))
 
 

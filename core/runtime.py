@@ -25,6 +25,7 @@ import importlib.util
 import os
 import re
 import signal
+import sys
 import textwrap
 import threading
 import time
@@ -32,7 +33,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -257,8 +258,9 @@ def end_taichi() -> None:
 def hasten_front_end() -> None:
     """Halve the time in which the front end turns kernels into syntax trees: with a warm cache, most of a start.
 
-    Functions are inlined, and their source text is searched and unwrapped at each call: here once. And Taichi describes
-    locations in the source for each expression, in case an error message should need them: here in one line.
+    Functions are inlined, and their source text is searched at each call: here once. And Taichi describes locations in
+    the source for each expression, and for each field the calls that led to it, in case an error message should need
+    them: here in one line, and not at all. Whether a kernel is a method is seen without a look into the source.
     Attributes of classes with kernels are accessed directly, which saves time in every frame as well. And how
     quadrants discards kernels is mended.
     """
@@ -268,7 +270,7 @@ def hasten_front_end() -> None:
         return
     for name in looked_up:
         setattr(front, name, cached_by_code(getattr(front, name)))
-    front.textwrap = SimpleNamespace(dedent=textwrap.dedent, fill=cache(textwrap.fill))
+    front.textwrap = SimpleNamespace(dedent=textwrap.dedent, fill=lambda line, **_: line.rstrip())
     if QUADRANTS:
         importlib.import_module("taichi.lang.impl").PyQuadrants.clear_compiled_functions = forget_kernels
         return
@@ -278,7 +280,12 @@ def hasten_front_end() -> None:
         line = node.lineno + self.lineno_offset
         return f'File "{self.file}", line {line}, in {self.func.func.__name__}:\n{self.src[node.lineno - 1]}\n'
 
-    ASTTransformerContext.get_pos_info = position
+    def inside_class(level_of_class_stackframe: int) -> bool:
+        return "__qualname__" in sys._getframe(level_of_class_stackframe - 1).f_locals
+
+    ASTTransformerContext.get_pos_info, front._inside_class = position, inside_class
+    for name in ("impl", "matrix", "snode", "_ndarray"):
+        importlib.import_module(f"taichi.lang.{name}").get_traceback = lambda stacklevel=1: ""
     bind_kernels_of_all_classes()
 
 

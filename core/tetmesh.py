@@ -38,6 +38,12 @@ def positively_oriented(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return np.where((tet_volumes(vertices, tets) < 0)[:, None], tets[:, [0, 2, 1, 3]], tets)
 
 
+def triangle_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Areas [m^2] of triangles, (F,) float64."""
+    a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
 def enclosed_volume(vertices: np.ndarray, surface: np.ndarray) -> float:
     """Volume [m^3] within a closed outward surface (S, 3), by the divergence theorem."""
     x = np.asarray(vertices, np.float64)

@@ -13,24 +13,11 @@ from assets.asset import Asset
 from core.distance_grid import marching_cubes
 from core.point_location import TetLocator
 from core.report import Section, Table, html_page
-from core.tetmesh import enclosed_volume, face_components, tet_volumes
+from core.tetmesh import enclosed_volume, face_components, tet_volumes, triangle_areas
+from prepare import report_pictures
+from prepare.cage import level_set
 from prepare.cage.component_cages import OPAQUE
-from prepare.cage.level_set import (
-    ComponentSolid,
-    areas,
-    distance_statistics,
-    distance_to_surface,
-    surface_samples,
-)
 from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
-from prepare.report_pictures import (
-    cage_picture,
-    camera_for,
-    cells_picture,
-    enclosure_picture,
-    splat_picture,
-    surface_picture,
-)
 
 BIN_WIDTH = 5.0  # [degrees] of the histogram
 MAX_POINTS = 40_000  # Gaussians that are measured
@@ -51,7 +38,7 @@ def report_texts(name: str, numbers: dict, pictures: dict[str, np.ndarray], note
     return page_of(name, numbers, pictures), json.dumps(numbers, indent=2) + "\n"
 
 
-def examine(asset: Asset, solids: list[ComponentSolid]) -> tuple[dict, dict[str, np.ndarray]]:
+def examine(asset: Asset, solids: list[level_set.ComponentSolid]) -> tuple[dict, dict[str, np.ndarray]]:
     """Numbers, ready for JSON (lengths [m], angles [degrees]), and pictures by name, of an asset and the solid of each
     of its components. Taichi must be running."""
     cage, g = asset.cage, asset.gaussians
@@ -59,8 +46,8 @@ def examine(asset: Asset, solids: list[ComponentSolid]) -> tuple[dict, dict[str,
     points = g.means[opaque if opaque.any() else slice(None)].astype(np.float64)
     points = points[:: len(points) // MAX_POINTS + 1]
     inside = TetLocator(cage.vertices, cage.tets).find(points) >= 0
-    to_cage = distance_to_surface(points, cage.vertices, cage.surface)
-    to_gaussians = cKDTree(points).query(surface_samples(cage.vertices, cage.surface)[0])[0]
+    to_cage = level_set.distance_to_surface(points, cage.vertices, cage.surface)
+    to_gaussians = cKDTree(points).query(level_set.surface_samples(cage.vertices, cage.surface)[0])[0]
     angles = dihedral_angles(cage.vertices, cage.tets)
     levels = [marching_cubes(solid.distance) for solid in solids]
     first = np.cumsum([0, *(len(x) for x, _ in levels)])  # vertex of each component
@@ -85,7 +72,7 @@ def examine(asset: Asset, solids: list[ComponentSolid]) -> tuple[dict, dict[str,
         "surface": {
             "vertices": len(level),
             "triangles": len(faces),
-            "area": float(areas(level, faces).sum()),
+            "area": float(triangle_areas(level, faces).sum()),
             "volume": enclosed_volume(level, faces),
             "cell": float(solids[0].distance.spacing),
         },
@@ -99,21 +86,21 @@ def examine(asset: Asset, solids: list[ComponentSolid]) -> tuple[dict, dict[str,
         },
         "enclosure": {"points": len(points), "inside": float(inside.mean()), "outside": int((~inside).sum())},
         "distance": {
-            "gaussians_to_cage": distance_statistics(to_cage),
-            "cage_to_gaussians": distance_statistics(to_gaussians),
+            "gaussians_to_cage": level_set.distance_statistics(to_cage),
+            "cage_to_gaussians": level_set.distance_statistics(to_gaussians),
             "symmetric_mean": float((to_cage.mean() + to_gaussians.mean()) / 2),
             "hausdorff": float(max(to_cage.max(), to_gaussians.max())),
         },
         "largest_extent": longest,
         "seconds": asset.provenance["figures"].get("seconds"),
     }
-    camera = camera_for(cage.vertices.astype(np.float64))
+    camera = report_pictures.camera_for(cage.vertices.astype(np.float64))
     pictures = {
-        "splat": splat_picture(asset, camera),
-        "cells": cells_picture(solids, camera),
-        "surface": surface_picture(level, faces, camera),
-        "cage": cage_picture(asset, camera),
-        "enclosure": enclosure_picture(asset, points, inside, np.where(inside, to_cage, 0.0), camera),
+        "splat": report_pictures.splat_picture(asset, camera),
+        "cells": report_pictures.cells_picture(solids, camera),
+        "surface": report_pictures.surface_picture(level, faces, camera),
+        "cage": report_pictures.cage_picture(asset, camera),
+        "enclosure": report_pictures.enclosure_picture(asset, points, inside, np.where(inside, to_cage, 0.0), camera),
     }
     return numbers, pictures
 

@@ -16,18 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write, open_input
-from assets.formats.gltf import (
-    BINARY_CHUNK,
-    FILE_MAX,
-    GLB_MAGIC,
-    JSON_CHUNK,
-    JSON_MAX,
-    NODES_MAX,
-    SPLATTING,
-    GlbFile,
-    local_pose,
-    node_order,
-)
+from assets.formats import gltf
 from assets.formats.packing import ALPHA_EPSILON, to_bytes
 from assets.gaussians import (
     SH_COUNTS,
@@ -47,8 +36,8 @@ from core.spherical_harmonics import C0, rotate_sh
 SORTING = {"cameraDistance": "radial", "zDepth": "z"}
 KNOWN = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective"}
 POSITION = "POSITION"
-ROTATION, SCALE, OPACITY = (f"{SPLATTING}:{name}" for name in ("ROTATION", "SCALE", "OPACITY"))
-COEFFICIENTS = [f"{SPLATTING}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(2 * degree + 1)]
+ROTATION, SCALE, OPACITY = (f"{gltf.SPLATTING}:{name}" for name in ("ROTATION", "SCALE", "OPACITY"))
+COEFFICIENTS = [f"{gltf.SPLATTING}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(2 * degree + 1)]
 SCALE_MIN = float(np.finfo(np.float32).tiny)  # [m] so that the log of a flat Gaussian's is finite
 UNIFORM = 1e-5  # of a node's scale: by less, its axes differ by rounding
 ARRAY_BUFFER = 34962  # of glTF: vertex attributes
@@ -60,7 +49,7 @@ def has_splats(path: Path) -> bool:
     """True for a .glb whose JSON names the extension."""
     with open_input(path) as file:
         size = int.from_bytes(file.read(16)[12:16], "little")
-        return f'"{SPLATTING}"'.encode() in file.read(min(size, JSON_MAX) + 4)
+        return f'"{gltf.SPLATTING}"'.encode() in file.read(min(size, gltf.JSON_MAX) + 4)
 
 
 def read_glb(path: str | Path, report: Report = print) -> Gaussians:
@@ -68,14 +57,14 @@ def read_glb(path: str | Path, report: Report = print) -> Gaussians:
 
     `report` takes a line if some were dropped, and for each thing that is not drawn as the file says.
     """
-    file, said = GlbFile(path), set()
+    file, said = gltf.GlbFile(path), set()
     nodes = file.list(file.json, "nodes")
-    if len(nodes) > NODES_MAX:
-        raise file.error(f"has {len(nodes)} nodes, at most {NODES_MAX} are read")
-    order, parents = node_order(file, len(nodes))
+    if len(nodes) > gltf.NODES_MAX:
+        raise file.error(f"has {len(nodes)} nodes, at most {gltf.NODES_MAX} are read")
+    order, parents = gltf.node_order(file, len(nodes))
     world, sets, room = np.tile(np.eye(4), (len(nodes), 1, 1)), [], REPEATS * file.path.stat().st_size
     for k in order.tolist():
-        t, q, s = local_pose(file, nodes[k])
+        t, q, s = gltf.local_pose(file, nodes[k])
         world[k, :3, :3], world[k, :3, 3] = matrices_from_quaternions(q[None])[0] * s, t
         if parents[k] >= 0:
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
@@ -101,10 +90,10 @@ def read_glb(path: str | Path, report: Report = print) -> Gaussians:
     return found
 
 
-def _extension(file: GlbFile, primitive) -> dict | None:
+def _extension(file: gltf.GlbFile, primitive) -> dict | None:
     """The extension of a primitive, if it has it."""
     extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
-    about = extensions.get(SPLATTING) if isinstance(extensions, dict) else None
+    about = extensions.get(gltf.SPLATTING) if isinstance(extensions, dict) else None
     if about is None:
         return None
     if not isinstance(about, dict) or not isinstance(primitive.get("attributes"), dict) or primitive.get("mode") != 0:
@@ -112,7 +101,7 @@ def _extension(file: GlbFile, primitive) -> dict | None:
     return about
 
 
-def _primitive(file: GlbFile, attributes: dict, about: dict, report: Report) -> Gaussians:
+def _primitive(file: gltf.GlbFile, attributes: dict, about: dict, report: Report) -> Gaussians:
     """The Gaussians of a primitive, in the frame of its node."""
     degree = max((d for d in range(4) if COEFFICIENTS[d * d] in attributes), default=0)
     names = COEFFICIENTS[: SH_COUNTS[degree]]
@@ -135,7 +124,7 @@ def _primitive(file: GlbFile, attributes: dict, about: dict, report: Report) -> 
     return drawable_gaussians(file.path, means, quats, logs, logits, sh, report, **told)
 
 
-def _placed(file: GlbFile, g: Gaussians, world: np.ndarray) -> Gaussians:
+def _placed(file: gltf.GlbFile, g: Gaussians, world: np.ndarray) -> Gaussians:
     """The Gaussians of a node with the transformation `world` (4, 4), which may stretch and mirror them."""
     if np.array_equal(world, np.eye(4)):
         return g
@@ -195,17 +184,17 @@ def write_glb(path: str | Path, g: Gaussians) -> None:
             accessors.append({"bufferView": len(views) - 1, "count": len(part), **kind})
         limits = {"min": part.means.min(0).tolist(), "max": part.means.max(0).tolist()}
         accessors[attributes[POSITION]] |= limits
-        meshes.append({"primitives": [{"attributes": attributes, "mode": 0, "extensions": {SPLATTING: about}}]})
+        meshes.append({"primitives": [{"attributes": attributes, "mode": 0, "extensions": {gltf.SPLATTING: about}}]})
         name = g.objects[index - 1] if 0 < index <= len(g.objects) else f"object_{index}"
         nodes.append({"mesh": len(nodes)} | ({"name": name, "extras": {"object": True}} if index else {}))
-    if begin > FILE_MAX - JSON_MAX:
-        raise BadInput(f"{path}: {len(g)} Gaussians are too many for a .glb of at most {FILE_MAX} bytes")
-    scene = {"asset": {"version": "2.0", "generator": "VR-GS"}, "extensionsUsed": [SPLATTING], "scene": 0}
+    if begin > gltf.FILE_MAX - gltf.JSON_MAX:
+        raise BadInput(f"{path}: {len(g)} Gaussians are too many for a .glb of at most {gltf.FILE_MAX} bytes")
+    scene = {"asset": {"version": "2.0", "generator": "VR-GS"}, "extensionsUsed": [gltf.SPLATTING], "scene": 0}
     scene |= {"scenes": [{"nodes": list(range(len(nodes)))}], "nodes": nodes, "meshes": meshes}
     scene |= {"buffers": [{"byteLength": begin}], "bufferViews": views, "accessors": accessors}
     text = json.dumps(scene, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     with atomic_write(path) as beside, open(beside, "wb") as file:
-        file.write(struct.pack("<4sIIII", GLB_MAGIC, 2, 28 + len(text) + begin, len(text), JSON_CHUNK) + text)
-        file.write(struct.pack("<II", begin, BINARY_CHUNK))
+        file.write(struct.pack("<4sIIII", gltf.GLB_MAGIC, 2, 28 + len(text) + begin, len(text), gltf.JSON_CHUNK) + text)
+        file.write(struct.pack("<II", begin, gltf.BINARY_CHUNK))
         file.writelines(blobs)

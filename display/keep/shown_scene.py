@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from assets.gaussians import Gaussians, axes_of
+from assets.gaussians import Gaussians, axes_of, symmetric_matrices
 from core.errors import BadInput
 from core.rotation import best_fit_rotation, matrices_from_quaternions
 from core.spherical_harmonics import C0, rotate_sh
@@ -45,7 +45,7 @@ def gaussians_of(world: World, spans: Sequence[tuple[int, int]], *, shadows: boo
     mean, cov, rotation, visibility = (field.to_numpy()[which] for field in fields)
 
     def splat() -> Gaussians:
-        quats, log_scales = axes_of(cov[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))
+        quats, log_scales = axes_of(symmetric_matrices(cov))
         opacity, sh = np.clip(opacities, OPACITY_EDGE, 1 - OPACITY_EDGE), harmonics.copy()
         turned = (np.abs(rotation[:, 0]) < 1.0 - 1e-7) & (sh[:, 1:] != 0).any((1, 2))
         sh[turned] = rotate_sh(sh[turned], matrices_from_quaternions(rotation[turned]))

@@ -23,7 +23,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils, UsdVo
 from scipy.spatial import ConvexHull
 
 from assets.file_access import atomic_write
-from assets.gaussians import Gaussians, axes_of
+from assets.gaussians import Gaussians, axes_of, symmetric_matrices
 from core.distance_grid import marching_cubes
 from core.errors import BadInput
 from core.program import VERSION
@@ -108,8 +108,7 @@ class SceneStage:
             first, end = self.world.registry.gaussian_span(moving.index)
             if first == end:
                 continue
-            sigma = cov[first:end][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-            quats, log_scales = axes_of(R.T @ sigma @ R)
+            quats, log_scales = axes_of(R.T @ symmetric_matrices(cov[first:end]) @ R)
             quats = self._quats[moving.index] = same_axes(quats, self._quats[moving.index])
             self._splats(f"{path}/Gaussians", (mean[first:end] - t) @ R, quats, np.exp(log_scales), time, half=True)
 

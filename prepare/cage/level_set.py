@@ -210,12 +210,6 @@ def contact_grid(shapes: list[DistanceGrid]) -> DistanceGrid:
     return DistanceGrid(values.astype(np.float16), start, float(step))
 
 
-def areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area of each triangle [m^2], (F,)."""
-    a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
-
 def surface_samples(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """SAMPLES points (N, 3) [m] spread evenly over the triangles, and the triangle (N,) of each."""
     import trimesh

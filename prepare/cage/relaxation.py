@@ -10,8 +10,7 @@ import numpy as np
 
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
-from core.tetmesh import tet_volumes
-from prepare.cage.level_set import areas
+from core.tetmesh import tet_volumes, triangle_areas
 from prepare.cage.mesh_quality import dihedral_cosines, quality_energy, smallest_angle
 
 DESCENT_STEPS = 30  # of descent; 20 bring most of the substep, the others better angles
@@ -106,7 +105,7 @@ def relax(
     def grown(x: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """x with its surface offset so that the volume is right, and the new levels."""
         for _ in range(2):
-            missing = (volume - tet_volumes(x, tets).sum()) / float(areas(x, cage.surface).sum())
+            missing = (volume - tet_volumes(x, tets).sum()) / float(triangle_areas(x, cage.surface).sum())
             x, level = offset(x, level, np.clip(missing, -MAX_OFFSET * width[outer], MAX_OFFSET * width[outer]))
         return x, level
 

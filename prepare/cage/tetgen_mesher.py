@@ -20,10 +20,11 @@ from assets.asset import Cage
 from core.distance_grid import DistanceGrid, marching_cubes
 from core.errors import BadInput
 from core.program import check_package, open3d
+from core.tetmesh import triangle_areas
 from prepare.cage.cage_file import checked_cage
 from prepare.cage.cage_generation import EXACT_VERTICES, Stuffed, check_count, fault, fitted
 from prepare.cage.embedding_hosts import fraction_inside
-from prepare.cage.level_set import areas, volume_of
+from prepare.cage.level_set import volume_of
 
 WORKER = Path(__file__).with_name("tetgen_worker.py")
 PYTHON = "VRGS_TETGEN_PYTHON"  # environment variable that names the interpreter with tetgen
@@ -146,7 +147,7 @@ def _meshed_to_count(phi: np.ndarray, edge: float, offset: float, vertices: int,
     for attempt in range(MAX_RUNS):
         report(attempt / MAX_RUNS)
         level, faces = marching_cubes(DistanceGrid(phi, np.zeros(3), 1.0), offset * edge)
-        triangles = float(areas(level, faces).sum()) / (0.433 * edge**2)
+        triangles = float(triangle_areas(level, faces).sum()) / (0.433 * edge**2)
         cage = run_tetgen(*decimated(level, faces, triangles), MAX_TET_VOLUME * edge**3 * 2**0.5 / 12)
         ratio = len(cage.vertices) / vertices
         if abs(ratio - 1) <= TETGEN_VERTEX_GOAL:

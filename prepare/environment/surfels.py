@@ -10,7 +10,7 @@ import numpy as np
 import taichi as ti
 from scipy.ndimage import binary_dilation, find_objects, label
 
-from assets.gaussians import Gaussians, normals_and_areas
+from assets.gaussians import Gaussians, normals_and_areas, symmetric_matrices
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 
@@ -95,7 +95,7 @@ def surfels(g: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, 
     spread = np.stack([q[:, k] / m - centre[:, a] * centre[:, b] for k, (a, b) in enumerate(pairs)], 1)
     # The own normals of flat Gaussians tell more than their positions: they are right within one voxel.
     spread = spread - facing / m[:, None]
-    normals = np.linalg.eigh(spread[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))[1][:, :, 0]
+    normals = np.linalg.eigh(symmetric_matrices(spread))[1][:, :, 0]
     areas = spacing**2 / np.abs(normals).max(1)
     return Surfels(origin + spacing * mean, normals, areas, cells)
 

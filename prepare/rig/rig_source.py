@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from assets.animation import decompose, local_matrices, world_matrices
 from assets.asset import Asset, Cage
@@ -22,8 +21,9 @@ from assets.orientation import rotation_to_up
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.point_location import TetLocator
+from core.rotation import turns_to
 from core.spherical_harmonics import C0
-from core.tetmesh import TET_EDGES, vertex_components
+from core.tetmesh import TET_EDGES, triangle_areas, vertex_components
 from prepare.rig.body_segmentation import Joined, Segments, cut
 from prepare.rig.landmarks import landmarks_of, read_landmarks
 from prepare.rig.rigging import Skeleton, animate_person, with_animation, with_provenance
@@ -53,8 +53,7 @@ class Samples:
 
 def sample_mesh(vertices: np.ndarray, faces: np.ndarray) -> Samples:
     """Points on triangles, GAUSSIANS in number, in proportion to area. Raises BadInput if there is no area."""
-    v = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
+    area = triangle_areas(vertices, faces)
     total = area.sum()
     if not (np.isfinite(total) and total > 0):
         raise BadInput("the mesh has no area")
@@ -69,12 +68,7 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray) -> Samples:
 def surface_gaussians(vertices: np.ndarray, mesh: SkinnedMesh, at: Samples) -> Gaussians:
     """Flat Gaussians on the mesh with these vertices (V, 3), in its colours."""
     v = vertices[mesh.faces]
-    normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])[at.face]
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    side = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
-    side = side / np.linalg.norm(side, axis=1, keepdims=True)
-    frames = np.stack([side, np.cross(normal, side), normal], -1)
-    quats = Rotation.from_matrix(frames).as_quat()[:, [3, 0, 1, 2]]
+    quats = turns_to(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), np.zeros(len(v)))[at.face]
     sigma = GAUSSIAN_SIGMA * at.spacing
     scales = np.log(np.tile([sigma, sigma, FLATNESS * sigma], (len(at.face), 1)))
     linear = at.interpolate(mesh.colours)

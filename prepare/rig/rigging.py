@@ -12,18 +12,10 @@ from assets.formats.gltf import Rig
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.cage.embedding_hosts import embed
+from prepare.rig import skin_weights
 from prepare.rig.body_segmentation import Segments, cut, segment_person, shortened, skeleton_adjacency
 from prepare.rig.landmarks import Landmarks, Solid
 from prepare.rig.retargeting import BONES, PARENTS, retarget
-from prepare.rig.skin_weights import (
-    HOLD,
-    diffuse_weights,
-    driven_vertices,
-    keep_to_segments,
-    largest_influences,
-    least_volumes,
-    without_spikes,
-)
 
 LOOP_BLEND = 0.3  # [s] in which a motion that does not return to its start is blended to it
 MAX_LOOP_GAP = (0.01, 0.02)  # [statures], [rad]; a motion with less returns by itself
@@ -58,7 +50,7 @@ def animate_person(asset: Asset, rig: Rig, landmarks: Landmarks, solid: Distance
     np.add.at(votes, (cage.tets, label[:, None]), 1)
     target = np.eye(J)[np.argmax(votes, axis=1)]
     off = person.bone_distance(cage.vertices)
-    weights = diffuse_weights(cage.vertices, cage.tets, HOLD / off**2, target)
+    weights = skin_weights.diffuse_weights(cage.vertices, cage.tets, skin_weights.HOLD / off**2, target)
     steps = body.rest - np.where((PARENTS >= 0)[:, None], body.rest[PARENTS], 0.0)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (J, 1))
     inverse = np.tile(np.eye(4), (J, 1, 1))
@@ -98,7 +90,7 @@ def with_animation(
     on_ground  the motion is lifted or lowered so that its lowest point is that of the body at rest
     """
     frames = looping_frames(own, float(np.ptp(cage.vertices[:, 1])))
-    joints, strong = largest_influences(weights)
+    joints, strong = skin_weights.largest_influences(weights)
     matrices = world_matrices(own.parents, frames) @ own.inverse_bind
     picked = np.linspace(0, len(matrices), min(SAMPLED_FRAMES, len(matrices)), endpoint=False).astype(int)
     skinned = [linear_blend_skinning(cage.vertices, joints, strong, matrices[k]) for k in picked]
@@ -109,12 +101,12 @@ def with_animation(
         shapes[1:, :, 1] += lift
     surface = np.unique(cage.surface)
     leader = np.where(np.isin(joints[:, 0], own.parents), joints[:, 0], -1)
-    driven = driven_vertices(cage.vertices, strong, cage.tets, surface, shapes, core, leader)
+    driven = skin_weights.driven_vertices(cage.vertices, strong, cage.tets, surface, shapes, core, leader)
     led = np.union1d(surface, np.flatnonzero(driven))
     g = asset.gaussians
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
-    embedded = keep_to_segments(embedded, g.means.astype(np.float64), cage, segments)
-    embedded = without_spikes(embedded, g, cage, segments, shapes)
+    embedded = skin_weights.keep_to_segments(embedded, g.means.astype(np.float64), cage, segments)
+    embedded = skin_weights.without_spikes(embedded, g, cage, segments, shapes)
     motion = Animation(
         list(own.names),
         np.asarray(own.parents, np.int32),
@@ -127,7 +119,7 @@ def with_animation(
         strong[led],
         driven[led],
     )
-    least = least_volumes(cage.tets, shapes)
+    least = skin_weights.least_volumes(cage.tets, shapes)
     figures = {
         "joints": len(own.names),
         "frames": len(frames[0]),

@@ -22,7 +22,7 @@ from scipy.special import log_ndtr, logit
 
 from assets.file_access import atomic_write_all, make_folder
 from assets.formats.ply import write_ply
-from assets.gaussians import Gaussians, concatenate
+from assets.gaussians import Gaussians, concatenate, symmetric_matrices
 from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import quaternions_from_matrices
@@ -219,7 +219,7 @@ def straddlers(gaussians: Gaussians, selected: np.ndarray) -> tuple[np.ndarray, 
     total = weight.sum(1)
     others = (weight * (side < 0)).sum(1)
     normal, shift = fitted_planes(offset, side, weight)
-    full = full_matrices(sigma)
+    full = symmetric_matrices(sigma)
     across = np.sqrt(np.einsum("ki,kij,kj->k", normal, full, normal).clip(1e-30))
     distance = (shift / across).clip(0.0, None)
     # One whose covered neighbours are all on the other side lies under the thing, or is wider than they reach.
@@ -247,7 +247,7 @@ def halves(g: Gaussians, normal: np.ndarray, distance: np.ndarray) -> tuple[Gaus
 
 
 def _part(g: Gaussians, normal: np.ndarray, t: np.ndarray) -> Gaussians:
-    sigma = full_matrices(g.covariances)
+    sigma = symmetric_matrices(g.covariances)
     across = np.einsum("kij,kj->ki", sigma, normal)
     s = np.sqrt(np.einsum("ki,ki->k", normal, across).clip(1e-30))
     log_mass = log_ndtr(t)
@@ -262,8 +262,3 @@ def _part(g: Gaussians, normal: np.ndarray, t: np.ndarray) -> Gaussians:
     shape = {"means": means, "quats": quaternions_from_matrices(axes), "log_scales": log_scales}
     shape["logit_opacities"] = logit(opacity)
     return replace(g, **{name: values.astype(np.float32) for name, values in shape.items()})
-
-
-def full_matrices(sigma: np.ndarray) -> np.ndarray:
-    """Symmetric matrices (K, 3, 3) of (xx, xy, xz, yy, yz, zz), (K, 6)."""
-    return sigma[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

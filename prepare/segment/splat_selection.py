@@ -21,18 +21,7 @@ from assets.gaussians import Gaussians
 from core.camera import Camera, directions_around, look_at, perspective
 from core.morton import morton_order
 from prepare.blending_weights import BlendingWeights
-from prepare.segment.graph_cut import (
-    adjugate,
-    clearest_level,
-    graph_of,
-    log_widths,
-    most_alike,
-    neighbour_edges,
-    neighbours_of,
-    quadratic_form,
-    random_walk,
-    thinned,
-)
+from prepare.segment import graph_cut
 from prepare.segment.marks import ViewMarks, drawn_boxes, drawn_strokes
 from render.projection import DILATION
 
@@ -98,8 +87,8 @@ def free_weights(means: np.ndarray, sigma: np.ndarray, opacities: np.ndarray, ca
     a splat weighs 2 pi opacity sqrt(det(s^2 Sigma_2D + dilation I)), s = f / z.
     """
     scale2 = (camera.fx / ((camera.position - means) @ way).clip(1e-9, None)) ** 2
-    flat = quadratic_form(adjugate(sigma), way).clip(0.0, None)
-    trace = sigma[:, [0, 3, 5]].sum(1) - quadratic_form(sigma, way)
+    flat = graph_cut.quadratic_form(graph_cut.adjugate(sigma), way).clip(0.0, None)
+    trace = sigma[:, [0, 3, 5]].sum(1) - graph_cut.quadratic_form(sigma, way)
     det = scale2**2 * flat + DILATION * scale2 * trace + DILATION**2
     return 2.0 * np.pi * opacities * np.sqrt(det)
 
@@ -207,7 +196,7 @@ class SplatSelection:
         """
         if len(near) <= NODES:
             return self._whole_cut(near, own, others)[0]
-        thin = thinned(near, NODES)
+        thin = graph_cut.thinned(near, NODES)
         count = len(thin.some)
         held = np.bincount(thin.cell, own, count)
         lead = held - np.bincount(thin.cell, others, count)
@@ -232,13 +221,13 @@ class SplatSelection:
 
         Returns the inside (N,) bool, both ends of the edges (E,), and the visible `shares` (V, N) if not given.
         """
-        low, high, likeness = neighbour_edges(near)
+        low, high, likeness = graph_cut.neighbour_edges(near)
         if shares is None:
             shares = self._views.shares(near) / SEEN
-        graph = graph_of(low, high, border_costs(low, high, likeness, shares), len(near))
-        inside = random_walk(graph, np.where(own, 1, np.where(others, 0, -1)), 2)[:, 1]
-        cut = clearest_level(graph, inside, own, others)
-        return most_alike(low, high, likeness, cut, own | others | (shares.max(0) > 1.0)), low, high, shares
+        graph = graph_cut.graph_of(low, high, border_costs(low, high, likeness, shares), len(near))
+        inside = graph_cut.random_walk(graph, np.where(own, 1, np.where(others, 0, -1)), 2)[:, 1]
+        cut = graph_cut.clearest_level(graph, inside, own, others)
+        return graph_cut.most_alike(low, high, likeness, cut, own | others | (shares.max(0) > 1.0)), low, high, shares
 
     def grown(self, cut: np.ndarray, rings: int) -> np.ndarray:
         """The selection (N,) bool grown by so many rings of neighbours, or shrunk if negative."""
@@ -265,16 +254,18 @@ class SplatSelection:
         distance = np.linalg.norm(points - points[cut].mean(axis=0, dtype=np.float64), axis=1)
         index = np.flatnonzero(distance <= 2.0 * distance[cut].max())
         if len(index) > NODES:
-            thin, part = thinned(self._gaussians.select(index), NODES), cut[index]
-            low, high, _ = neighbours_of(thin.gaussians.means.astype(np.float64), log_widths(thin.gaussians))
+            thin, part = graph_cut.thinned(self._gaussians.select(index), NODES), cut[index]
+            low, high, _ = graph_cut.neighbours_of(
+                thin.gaussians.means.astype(np.float64), graph_cut.log_widths(thin.gaussians)
+            )
             here, there = (np.bincount(thin.cell, side, len(thin.some)) > 0 for side in (part, ~part))
             near = touched(low, high, here[low] & there[high] | there[low] & here[high], len(here)) | (here & there)
             for _ in range(rings):
                 near |= touched(low, high, near[low] | near[high], len(near))
             index = index[near[thin.cell]]
         near = self._gaussians.select(index)
-        low, high, _ = neighbours_of(near.means.astype(np.float64), log_widths(near))
-        return index, graph_of(low, high, np.ones(len(low)), len(index))
+        low, high, _ = graph_cut.neighbours_of(near.means.astype(np.float64), graph_cut.log_widths(near))
+        return index, graph_cut.graph_of(low, high, np.ones(len(low)), len(index))
 
     def destroy(self) -> None:
         """Free the device memory."""

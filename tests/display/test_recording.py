@@ -268,7 +268,7 @@ def build():
 '''
 
 
-def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, capsys, ti_cpu):
+def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, capsys, unwarmed):
     """A ring is lifted from the floor, for a while in the other interaction; then the same from the recording."""
     from display.world import World
 

@@ -8,9 +8,8 @@ from scipy.spatial import cKDTree
 from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid, marching_cubes
 from core.errors import BadInput
-from core.tetmesh import enclosed_volume
+from core.tetmesh import enclosed_volume, triangle_areas
 from prepare.cage.level_set import (
-    areas,
     contact_grid,
     distance_to,
     distance_to_surface,
@@ -38,7 +37,7 @@ def test_the_surface_of_a_ball():
     assert len(non_manifold_vertices(f)) == 0
     assert euler_characteristic(f) == 2
     assert_allclose(enclosed_volume(v, f), 4 / 3 * np.pi * R**3, rtol=0.01)
-    assert_allclose(areas(v, f).sum(), 4 * np.pi * R**2, rtol=0.01)
+    assert_allclose(triangle_areas(v, f).sum(), 4 * np.pi * R**2, rtol=0.01)
     assert_allclose(np.linalg.norm(v - CENTRE, axis=1), R, atol=0.002)
     v, f = marching_cubes(BALL, level=0.2)
     assert_allclose(np.linalg.norm(v - CENTRE, axis=1), R + 0.2, atol=0.002)

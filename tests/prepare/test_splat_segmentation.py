@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from assets.gaussians import Gaussians, concatenate
+from assets.gaussians import Gaussians, concatenate, symmetric_matrices
 from assets.splat_files import read_gaussians
 from core.camera import directions_around, look_at, perspective
 from core.errors import BadInput
@@ -23,7 +23,6 @@ from prepare.segment.graph_cut import (
 )
 from prepare.segment.marks import Marks, SplatMarks, ViewMarks, read_splat_marks, write_splat_marks
 from prepare.segment.splat_segmentation import (
-    full_matrices,
     halves,
     segment_splat,
     straddlers,
@@ -341,12 +340,12 @@ def test_halves_have_the_moments_of_the_cut_distribution():
     rng = np.random.default_rng(2)
     g = Gaussians.of([[1.0, 2, 3]], [[0.8, 0.4, 0.2, 0.4]], np.log([[0.3, 0.2, 0.05]]), [0.0], np.zeros((1, 1, 3)))
     normal = np.array([[0.6, 0.0, 0.8]])
-    sigma = full_matrices(g.covariances)[0]
+    sigma = symmetric_matrices(g.covariances)[0]
     x = rng.multivariate_normal(g.means[0], sigma, 400_000)
     height = (x - g.means[0]) @ normal[0] / np.sqrt(normal[0] @ sigma @ normal[0])
     for part, here in zip(halves(g, normal, np.array([0.7])), (height > -0.7, height <= -0.7), strict=True):
         np.testing.assert_allclose(part.means[0], x[here].mean(0), atol=3e-3)
-        np.testing.assert_allclose(full_matrices(part.covariances)[0], np.cov(x[here].T), atol=1e-3)
+        np.testing.assert_allclose(symmetric_matrices(part.covariances)[0], np.cov(x[here].T), atol=1e-3)
 
 
 def plane_in_halves(size: float) -> tuple[Gaussians, np.ndarray]:

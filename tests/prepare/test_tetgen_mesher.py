@@ -12,11 +12,11 @@ import vrgs
 from assets.splat_files import write_gaussians
 from core.distance_grid import DistanceGrid, marching_cubes
 from core.errors import BadInput
-from core.tetmesh import enclosed_volume
+from core.tetmesh import enclosed_volume, triangle_areas
 from prepare.cage.cage_generation import cage_of, fault
 from prepare.cage.component_cages import mesh
 from prepare.cage.embedding_hosts import fraction_inside
-from prepare.cage.level_set import areas, volume_of
+from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import non_manifold_vertices
 from prepare.cage.tetgen_mesher import MeshFailed, checked_cage, decimated, run_tetgen
 from prepare.pipeline import Options, prepare
@@ -151,7 +151,7 @@ def test_tetgen_itself(ti_cpu):
         pytest.skip("tetgen is not installed; VRGS_TETGEN_PYTHON names no Python that has it")
     v, f = marching_cubes(DistanceGrid(sphere(), np.zeros(3), 1.0))
     few, faces = decimated(v, f, 800)
-    cage = run_tetgen(few, faces, 0.3 * (areas(few, faces).mean()) ** 1.5)
+    cage = run_tetgen(few, faces, 0.3 * (triangle_areas(few, faces).mean()) ** 1.5)
     assert_allclose(cage.volumes().sum(), enclosed_volume(few, faces), rtol=1e-5)
     cage, used = mesh("tetgen", sphere(), inner_points(), 700, lambda share: None)
     assert used == "tetgen" and fault(cage, volume_of(sphere()), 1.0, 700) == ""

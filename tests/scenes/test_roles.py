@@ -255,7 +255,7 @@ def test_what_cannot_play_a_role_is_told_in_one_line(argv, says, capsys):
     assert says in error and error.count("\n") == 1
 
 
-def test_the_command_line_says_who_plays_what(tmp_path, capsys, ti_cpu):
+def test_the_command_line_says_who_plays_what(tmp_path, capsys, unwarmed):
     """In a line at the start, and in the statistics; two bodies of the user's are thrown in a room of the user's."""
     mine, stage = ring(tmp_path), room(tmp_path, table=True)
     argv = ["--scene", "ring_toss", "--body", mine, "--body", "ring_blue", "--stage", stage]

@@ -25,6 +25,7 @@ from display.user_commands import Reset, SetLight, Undo
 from scenes import registry, ring_toss
 from scenes.dining_table import BOTTLE
 from scenes.scene import Scene
+from tests.support.scripted_play import blind_world
 from vrgs import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,22 +47,16 @@ def status(words: list[str]) -> int:
         return end.code
 
 
-def play(tmp_path, *args, name="run") -> dict:
-    """Play headless on the CPU in a small picture; returns the statistics."""
-    stats = tmp_path / f"{name}.json"
-    done = vrgs("--headless", "--arch", "cpu", "--size", "96x54", "--stats", stats, *args)
-    assert done.returncode == 0, done.stderr
-    return json.loads(stats.read_text())
-
-
 @pytest.mark.parametrize("throws", [1, pytest.param(3, marks=pytest.mark.long)])
-def test_the_scripted_hand_wins_the_ring_toss(throws, tmp_path):
+def test_the_scripted_hand_wins_the_ring_toss(throws, tmp_path, unwarmed):
     film, picture = tmp_path / "toss.mp4", tmp_path / "toss.png"
     study = tmp_path / "study.h5"
     line = ("--record", film, "--snapshot", picture, "--study", study, "--participant", "Ida")
     if throws < 3:
         line += ("--frames", round(60 * (throws * ring_toss.THROW_PERIOD + 0.1)))
-    stats = play(tmp_path, "--scene", "ring_toss", *line)
+    words = ["--headless", "--arch", "cpu", "--size", "96x54", "--scene", "ring_toss", *line]
+    assert main([*map(str, words), "--stats", str(tmp_path / "stats.json")]) == 0
+    stats = json.loads((tmp_path / "stats.json").read_text())
     assert stats["score"] >= (2 if throws == 3 else 1)
     assert stats["finite"] is True
     assert stats["gaussians"] > 50_000 and stats["vertices"] > 300 and stats["substeps"] > 0 and stats["dt"] > 0
@@ -105,7 +100,9 @@ def test_a_fixed_seed_repeats_a_cpu_run_exactly(tmp_path):
     films = []
     for i in range(2):
         picture = tmp_path / f"{i}.png"
-        play(tmp_path, "--frames", 30, "--seed", 7, "--snapshot", picture, name=str(i))
+        words = ("--frames", 30, "--seed", 7, "--snapshot", picture)
+        done = vrgs("--headless", "--arch", "cpu", "--size", "96x54", *words)
+        assert done.returncode == 0, done.stderr
         films.append(picture.read_bytes())
     assert films[0] == films[1]
 
@@ -205,11 +202,11 @@ def test_the_rings_are_of_a_soft_silicone_as_their_assets_are():
 
 
 def test_a_body_that_is_simulated_softer_than_its_material_is_told(ti_cpu):
-    from display.world import World, softened_note
+    from display.world import softened_note
 
     steel = replace(Material.named("silicone"), young=2e11)
     rings = [Body("ring_red", Material.named("silicone")), *[Body("ring_blue", steel, position=(0, 0.2, 0))] * 2]
-    world = World(Scene(rings, None, (0.0, 0.5, 0.9), (0.0, 0.1, 0.0)), width=16, height=16)
+    world = blind_world(Scene(rings, None, (0.0, 0.5, 0.9), (0.0, 0.1, 0.0)))
     softened = world.stats()["softened"]
     assert [(s["body"], s["young"]) for s in softened] == [("ring_blue", 2e11)] * 2
     solver = world.device.solver
@@ -237,14 +234,10 @@ def test_a_scene_without_a_light_plays_without_shadows(ti_cpu):
 
 
 def test_what_the_sandbox_begins_with_stays_on_the_table(ti_cpu):
-    from display.world import World
-
     scene = registry.load("sandbox")
-    world = World(replace(scene, bodies=scene.bodies[2:]), width=32, height=24)
-    camera = perspective(32, 24, scene.fov_y, look_at(scene.eye, scene.target))
-    places = []
+    world, places = blind_world(replace(scene, bodies=scene.bodies[2:])), []
     for _ in range(180):
-        world.step(Frame(1 / 30, 0.0, [camera]))
+        world.step(Frame(1 / 30, 0.0, []))
         places.append([b.centroid for b in world.bodies()])
     assert np.linalg.norm(np.subtract(places[-1], places[60]), axis=1).max() < 0.003
     world.close()

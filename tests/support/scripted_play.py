@@ -1,6 +1,7 @@
 """A scene without its room, simulated but not drawn, and played through by its scripted hands."""
 
 from dataclasses import replace
+from unittest.mock import patch
 
 from display.protocol import Frame
 from scenes.scene import Scene
@@ -9,13 +10,21 @@ DT = 1 / 60  # [s]
 
 
 def blind_world(scene: Scene):
-    """The World of a scene's bodies without its room, as they start; neither shadows nor pictures are made."""
-    from display.world import World
+    """The World of a scene's bodies without its room, as they start; Gaussians neither follow them nor are drawn."""
+    from display.world import DeviceScene, World
+
+    class Undrawn(DeviceScene):
+        def deform(self):
+            pass
+
+        cast_shadow = deform
+
+        def render(self, cameras):
+            pass
 
     bare = replace(scene, bodies=[b for b in scene.bodies if b.material is not None])
-    world = World(bare, width=32, height=32)
-    world.device.render, world.device.cast_shadow = lambda cameras: None, lambda: None
-    return world
+    with patch("display.world.DeviceScene", Undrawn):
+        return World(bare, width=32, height=32)
 
 
 def frames(world, seconds: float, *, begin: float = 0.0, dt: float = DT):

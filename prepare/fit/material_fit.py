@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from core.errors import BadInput
 from core.material import RAYLEIGH_FREQUENCY, Material
-from prepare.fit.least_squares import BLOCKS, Fitted, Prior, minimise
+from prepare.fit.least_squares import BLOCK_QUANTILE, BLOCKS, Fitted, Prior, loss_of, minimise
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
 from prepare.fit.marker_tracks import (
     MarkerTracks,
@@ -30,12 +30,17 @@ Roll = Callable[["CageOfMarkers", list[tuple[Material, np.ndarray, np.ndarray]]]
 
 STEPS = ("scan", "fit", "interval")  # of the progress
 YOUNG_RANGE, DAMPING_RANGE, FRICTION_RANGE = (1e2, 3e8), (0.02, 100.0), (0.0, 1.5)
+YIELD_RANGE = (1e-3, 2.0)  # at its end a material is elastic: nothing is strained so far
 SCAN_FACTOR = 1.35  # from one Young's modulus of the scan to the next: 16% in frequency
 SCAN_RANGE = (5e1, 3e7)  # [Pa] at 100 kg/m^3 and a size of 10 cm, and with size^2 and density
 FINE_FACTORS = 1.1 ** np.arange(-3, 4)
 FINE_DAMPINGS = (0.5, 4.0)  # [1/s]
+YIELD_YOUNGS = np.log(1.4) * np.arange(7)  # what stays bent is stiffer than what gives way as far and springs back
+YIELD_SCAN = np.log(np.geomspace(0.006, 0.3, 7))
+YIELD_FINE, YIELD_ROWS = np.log(1.2) * np.arange(-2, 3), 3
+BETTER = 1 + BLOCK_QUANTILE**2 / (BLOCKS - 1)  # ratio of losses at which one parameter more is one: F of 1 and 9, 10%
 FIRST_FRICTION = 0.25  # slides on most slopes: what sticks says nothing of how much less would let it slide
-UNITS = {"young": "Pa", "damping": "1/s", "friction": ""}
+UNITS = {"young": "Pa", "damping": "1/s", "friction": "", "yield_strain": ""}
 LONGEST_LAG = 1 / 1260  # [s] of inner friction in the simulator: its substep; other integrators take less
 MODES = 2  # whose amplitude and speed at the start are fitted
 NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
@@ -123,19 +128,17 @@ class MaterialProblem:
         self.shape = ElasticShape(x, tets, held, material.poisson, MODES)
         self._set_start()
         rubs = len(tracks.planes) > 0
-        self.names = ["young", "damping", *(["friction"] if rubs else [])]
-        self.main = len(self.names)
-        self.rubs = rubs
-        log, each = np.log, np.ones(len(self.fields))
-        rows = {
-            "centre": [log(material.young), log(1.5), 0.4],
-            "spread": [6.0, 2.0, 1.0],
-            "low": [log(YOUNG_RANGE[0]), log(DAMPING_RANGE[0]), FRICTION_RANGE[0]],
-            "high": [log(YOUNG_RANGE[1]), log(DAMPING_RANGE[1]), FRICTION_RANGE[1]],
-            "step": [0.02, 0.1, 0.02],
+        self.rubs, log = rubs, np.log
+        rows = {  # centre, spread, bounds and step of a parameter
+            "young": (log(material.young), 6.0, *log(YOUNG_RANGE), 0.02),
+            "damping": (log(1.5), 2.0, *log(DAMPING_RANGE), 0.1),
+            "friction": (0.4, 1.0, *FRICTION_RANGE, 0.02),
+            "yield_strain": (log(YIELD_RANGE[1]), 6.0, *log(YIELD_RANGE), 0.05),
         }
-        of_start = {"centre": 0.0, "spread": 20.0, "low": -200.0, "high": 200.0, "step": 1.0}
-        self.prior = Prior(**{n: np.r_[row[: self.main], of_start[n] * each] for n, row in rows.items()})
+        self.names = [name for name in rows if rubs or name != "friction"]
+        self.main = len(self.names)
+        of_start = [(0.0, 20.0, -200.0, 200.0, 1.0)] * len(self.fields)
+        self.prior = Prior(*np.array([*(rows[name] for name in self.names), *of_start]).T)
 
     def explained(self, error: float, moved: float) -> bool:
         """True if the error [m] is so small a part of a motion [m] that this is the material's doing."""
@@ -192,7 +195,12 @@ class MaterialProblem:
             damping=float(np.exp(theta[1])),
             friction=friction,
             kinetic_friction=None if self.rubs else self.base.kinetic_friction,
+            yield_strain=None if self.elastic(theta) else float(np.exp(theta[self.main - 1])),
         )
+
+    def elastic(self, theta: np.ndarray) -> bool:
+        """True if parameters (P,) are those of a material that does not yield."""
+        return bool(theta[self.main - 1] >= self.prior.high[self.main - 1])
 
     def candidate(self, theta: np.ndarray) -> tuple[Material, np.ndarray, np.ndarray]:
         """Material, positions and velocities at the start, (V, 3)."""
@@ -309,7 +317,8 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     progress("scan", 1.0)
 
     def least() -> dict[str, np.ndarray]:
-        found = minimise(problem.residuals, scanned["guess"], problem.prior, 1.0, lambda d: progress("fit", d))
+        elastic = minimise(problem.residuals, scanned["guess"], problem.prior, 1.0, lambda d: progress("fit", d / 2))
+        found = with_yield(problem, elastic, lambda d: progress("fit", (1 + d) / 2))
         return {name: np.asarray(value) for name, value in vars(found).items()}
 
     kept = keep("fit", least)
@@ -348,6 +357,40 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     )
 
 
+def with_yield(problem: MaterialProblem, elastic: Fitted, progress: Callable[[float], None]) -> Fitted:
+    """The minimum with a yield strain where that explains more than chance would, else the elastic one.
+
+    The elastic minimum lies where plastic flow does nothing, and stiffness and yield strain give way for one another
+    (what bends under a load does so by its yield stress): both are scanned together, as no step leads from one to the
+    other.
+    """
+    k = problem.main - 1
+
+    def scanned(youngs: np.ndarray, yields: np.ndarray, dampings) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (n, P) of logarithms (n,) of the numbers, and their losses (n,)."""
+        thetas = np.tile(elastic.theta, (len(youngs), 1))
+        thetas[:, 0], thetas[:, 1], thetas[:, k] = youngs, dampings, yields
+        thetas = thetas.clip(problem.prior.low, problem.prior.high)
+        return thetas, np.log(windowed(problem.residuals(thetas), problem.tracks.points)).sum(1)
+
+    youngs, yields = (q.ravel() for q in np.meshgrid(elastic.theta[0] + YIELD_YOUNGS, YIELD_SCAN, indexing="ij"))
+    thetas, scores = scanned(youngs, yields, problem.prior.centre[1])
+    progress(0.15)
+    rows = scores.reshape(len(YIELD_YOUNGS), -1)
+    best = np.argsort(rows.min(1))[:YIELD_ROWS]
+    if DEBUG: print(np.round(scores.reshape(len(YIELD_YOUNGS), -1),1), best)
+    fine = [(youngs[0] + YIELD_YOUNGS[i], YIELD_SCAN[rows[i].argmin()] + f, d) for i in best for f in YIELD_FINE for d in np.log(FINE_DAMPINGS)]
+    thetas, scores = scanned(*np.transpose(fine))
+    if DEBUG: print(np.round(scores.reshape(YIELD_ROWS, -1),1), 'elastic', np.log(windowed(elastic.residuals[None], problem.tracks.points)).sum())
+    progress(0.3)
+    start = thetas[int(scores.argmin())]
+    found = minimise(problem.residuals, start, problem.prior, 1.0, lambda done: progress(0.3 + 0.7 * done))
+    before, after = loss_of(np.stack([elastic.residuals, found.residuals]), found.scale)
+    if DEBUG: print('start', np.exp(thetas[int(scores.argmin())][:3]),'elastic', np.exp(elastic.theta[:3]), elastic.theta[3:], elastic.scale, elastic.steps, 'plastic', np.exp(found.theta[:3]), found.theta[3:], found.scale, found.steps, 'ratio', before/after)
+    return found if before > BETTER * after else elastic
+
+
+DEBUG = False
 def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]) -> dict[str, np.ndarray]:
     """The shift (P,) of the parameters to a cage so fine that its size does not matter, and their spread (P,) to both
     sides, as what is held is not known exactly.
@@ -371,11 +414,14 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
         found = ElasticShape(x, tets, held, problem.base.poisson, 1).stiffness[0]
         return np.log(found) if found > 0 else np.nan
 
+    def residuals(cage: CageOfMarkers, thetas: np.ndarray) -> np.ndarray:
+        made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, thetas)]
+        return problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0))
+
     def fitted_again(held: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, float]:
         cage, theta, least = replace(fine, held=held), trials[0], np.inf
         for _ in range(CHORD_STEPS + 1):
-            made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, trials)]
-            rows = problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0))
+            rows = residuals(cage, trials)
             losses = np.nanmean(np.abs(rows), axis=1)
             best = int(losses.argmin())
             if not losses[best] < (1 - SMALL_CHORD) * least:
@@ -394,6 +440,10 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
     stiff = [stiffness(h) if len(h) >= 3 or begin == 0 else np.nan for h in held]
     starts = theta + (level - stiff[begin] + np.log(REFINED_FACTORS))[:, None] * first
     found = {begin: fitted_again(held[begin], starts)}
+    if not problem.elastic(theta):  # how far a cage flows depends on its size too much for the derivatives of another
+        fitted = minimise(lambda t: residuals(replace(fine, held=held[begin]), t), found[begin][0], problem.prior, 1.0)
+        found = {begin: fitted_again(held[begin], fitted.theta[None])}
+        if DEBUG: print("fine", fitted.theta, np.exp(fitted.theta[:3]), fitted.scale, fitted.steps)
     least = found[begin][1]
     for side in (-1, 1):
         k = begin + side

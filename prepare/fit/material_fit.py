@@ -108,8 +108,9 @@ class MaterialFit:
 
 
 class MaterialProblem:
-    """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, and
-    corrections of the start (of the velocity of a free body, and of the amplitude and speed of its slowest modes)."""
+    """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, else
+    log yield strain, and corrections of the start (of the velocity of a free body, and of the amplitude and speed of
+    its slowest modes)."""
 
     def __init__(self, tracks: MarkerTracks, vertices, tets, material: Material, roll: Roll, where: str):
         self.tracks, self.base, self.roll, self.where = tracks, material, roll, where
@@ -135,7 +136,7 @@ class MaterialProblem:
             "friction": (0.4, 1.0, *FRICTION_RANGE, 0.02),
             "yield_strain": (log(YIELD_RANGE[1]), 6.0, *log(YIELD_RANGE), 0.05),
         }
-        self.names = [name for name in rows if rubs or name != "friction"]
+        self.names = ["young", "damping", "friction" if rubs else "yield_strain"]
         self.main = len(self.names)
         of_start = [(0.0, 20.0, -200.0, 200.0, 1.0)] * len(self.fields)
         self.prior = Prior(*np.array([*(rows[name] for name in self.names), *of_start]).T)
@@ -188,19 +189,19 @@ class MaterialProblem:
 
     def material(self, theta: np.ndarray) -> Material:
         """The material of parameters (P,)."""
-        friction = float(theta[2]) if self.rubs else self.base.friction
+        friction, strain = float(theta[2]) if self.rubs else self.base.friction, float(np.exp(theta[2]))
         return replace(
             self.base,
             young=float(np.exp(theta[0])),
             damping=float(np.exp(theta[1])),
             friction=friction,
             kinetic_friction=None if self.rubs else self.base.kinetic_friction,
-            yield_strain=None if self.elastic(theta) else float(np.exp(theta[self.main - 1])),
+            yield_strain=strain if self.yields(theta) else self.base.yield_strain if self.rubs else None,
         )
 
-    def elastic(self, theta: np.ndarray) -> bool:
-        """True if parameters (P,) are those of a material that does not yield."""
-        return bool(theta[self.main - 1] >= self.prior.high[self.main - 1])
+    def yields(self, theta: np.ndarray) -> bool:
+        """True if parameters (P,) have a yield strain that is to be found."""
+        return not self.rubs and bool(theta[2] < self.prior.high[2])
 
     def candidate(self, theta: np.ndarray) -> tuple[Material, np.ndarray, np.ndarray]:
         """Material, positions and velocities at the start, (V, 3)."""
@@ -342,6 +343,12 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
     numbers = numbers_of(problem, fitted, limit, mass_known, left)
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
+    own = problem.base.yield_strain
+    if own is not None and not problem.rubs and "young" in seen and "yield_strain" not in seen:
+        thetas = np.stack([theta, theta])
+        thetas[1, 2] = np.log(own)
+        elastic, flows = loss_of(problem.residuals(thetas), fitted.scale)
+        seen |= {} if flows < BETTER * elastic else {"yield_strain": None}
     return MaterialFit(
         material=replace(problem.base, **seen, **({"kinetic_friction": None} if "friction" in seen else {})),
         numbers=numbers,
@@ -360,37 +367,54 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
 def with_yield(problem: MaterialProblem, elastic: Fitted, progress: Callable[[float], None]) -> Fitted:
     """The minimum with a yield strain where that explains more than chance would, else the elastic one.
 
-    The elastic minimum lies where plastic flow does nothing, and stiffness and yield strain give way for one another
-    (what bends under a load does so by its yield stress): both are scanned together, as no step leads from one to the
-    other.
+    No steps lead to it from the elastic one, where nothing flows. Stiffness and yield strain are scanned together: what
+    bends under a load bends as far with half of the one and twice of the other.
     """
-    k = problem.main - 1
+    if problem.rubs:
+        return elastic
 
-    def scanned(youngs: np.ndarray, yields: np.ndarray, dampings) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (n, P) of logarithms (n,) of the numbers, and their losses (n,)."""
-        thetas = np.tile(elastic.theta, (len(youngs), 1))
-        thetas[:, 0], thetas[:, 1], thetas[:, k] = youngs, dampings, yields
+    def scanned(rows: list[tuple[float, float, float]]) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (n, P) of those that are looked for, and their scores (n,)."""
+        thetas = np.zeros((len(rows), len(elastic.theta)))
+        thetas[:, : problem.main] = rows
         thetas = thetas.clip(problem.prior.low, problem.prior.high)
         return thetas, np.log(windowed(problem.residuals(thetas), problem.tracks.points)).sum(1)
 
-    youngs, yields = (q.ravel() for q in np.meshgrid(elastic.theta[0] + YIELD_YOUNGS, YIELD_SCAN, indexing="ij"))
-    thetas, scores = scanned(youngs, yields, problem.prior.centre[1])
+    youngs, damping = elastic.theta[0] + YIELD_YOUNGS, problem.prior.centre[1]
+    scores = scanned([(young, damping, strain) for young in youngs for strain in YIELD_SCAN])[1].reshape(
+        len(youngs), -1
+    )
     progress(0.15)
-    rows = scores.reshape(len(YIELD_YOUNGS), -1)
-    best = np.argsort(rows.min(1))[:YIELD_ROWS]
-    if DEBUG: print(np.round(scores.reshape(len(YIELD_YOUNGS), -1),1), best)
-    fine = [(youngs[0] + YIELD_YOUNGS[i], YIELD_SCAN[rows[i].argmin()] + f, d) for i in best for f in YIELD_FINE for d in np.log(FINE_DAMPINGS)]
-    thetas, scores = scanned(*np.transpose(fine))
-    if DEBUG: print(np.round(scores.reshape(YIELD_ROWS, -1),1), 'elastic', np.log(windowed(elastic.residuals[None], problem.tracks.points)).sum())
+    best = [(youngs[i], YIELD_SCAN[scores[i].argmin()]) for i in scores.min(1).argsort()[:YIELD_ROWS]]
+    fine = [(young, d, strain + f) for young, strain in best for f in YIELD_FINE for d in np.log(FINE_DAMPINGS)]
+    thetas, scores = scanned(fine)
     progress(0.3)
     start = thetas[int(scores.argmin())]
     found = minimise(problem.residuals, start, problem.prior, 1.0, lambda done: progress(0.3 + 0.7 * done))
     before, after = loss_of(np.stack([elastic.residuals, found.residuals]), found.scale)
-    if DEBUG: print('start', np.exp(thetas[int(scores.argmin())][:3]),'elastic', np.exp(elastic.theta[:3]), elastic.theta[3:], elastic.scale, elastic.steps, 'plastic', np.exp(found.theta[:3]), found.theta[3:], found.scale, found.steps, 'ratio', before/after)
+    if DEBUG:
+        print(
+            "start",
+            np.exp(start[:3]),
+            "elastic",
+            np.exp(elastic.theta[:3]),
+            elastic.theta[3:],
+            elastic.scale,
+            elastic.steps,
+            "plastic",
+            np.exp(found.theta[:3]),
+            found.theta[3:],
+            found.scale,
+            found.steps,
+            "ratio",
+            before / after,
+        )
     return found if before > BETTER * after else elastic
 
 
 DEBUG = False
+
+
 def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]) -> dict[str, np.ndarray]:
     """The shift (P,) of the parameters to a cage so fine that its size does not matter, and their spread (P,) to both
     sides, as what is held is not known exactly.
@@ -440,10 +464,11 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
     stiff = [stiffness(h) if len(h) >= 3 or begin == 0 else np.nan for h in held]
     starts = theta + (level - stiff[begin] + np.log(REFINED_FACTORS))[:, None] * first
     found = {begin: fitted_again(held[begin], starts)}
-    if not problem.elastic(theta):  # how far a cage flows depends on its size too much for the derivatives of another
+    if problem.yields(theta):  # how far a cage flows depends on its size too much for the derivatives of another
         fitted = minimise(lambda t: residuals(replace(fine, held=held[begin]), t), found[begin][0], problem.prior, 1.0)
         found = {begin: fitted_again(held[begin], fitted.theta[None])}
-        if DEBUG: print("fine", fitted.theta, np.exp(fitted.theta[:3]), fitted.scale, fitted.steps)
+        if DEBUG:
+            print("fine", fitted.theta, np.exp(fitted.theta[:3]), fitted.scale, fitted.steps)
     least = found[begin][1]
     for side in (-1, 1):
         k = begin + side

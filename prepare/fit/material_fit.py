@@ -383,14 +383,8 @@ def with_yield(problem: MaterialProblem, elastic: Fitted, progress: Callable[[fl
         progress((1 + 2 * k) / (1 + 2 * len(scores)))
         found.append(minimise(problem.residuals, thetas[k, best], problem.prior, 1.0))
     losses = loss_of(np.stack([f.residuals for f in found]), min(f.scale for f in found))
-    if DEBUG:
-        print("losses", losses)
-        for f in found: print(np.exp(f.theta[:3]), f.theta[3:], f.scale, f.steps)
     least = int(losses.argmin())
     return found[least] if losses[0] > BETTER * losses[least] else elastic
-
-
-DEBUG = True
 
 
 def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]) -> dict[str, np.ndarray]:
@@ -446,8 +440,6 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
         own = replace(fine, held=held[begin])
         fitted = minimise(lambda t: residuals(own, t), found[begin][0], problem.prior, fitted.scale, steps=1)
         found = {begin: fitted_again(held[begin], fitted.theta[None])}
-        if DEBUG:
-            print("fine", fitted.theta, np.exp(fitted.theta[:3]), fitted.scale, fitted.steps)
     least = found[begin][1]
     for side in (-1, 1):
         k = begin + side

@@ -108,8 +108,11 @@ class MaterialFit:
 
 class MaterialProblem:
     """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, else
-    log yield strain, and corrections of the start (of the velocity of a free body, and of the amplitude and speed of
-    its slowest modes)."""
+    log yield strain if there is no camera, and corrections of the start (of the velocity of a free body, and of the
+    amplitude and speed of its slowest modes).
+
+    rubs, flows   whether friction, or a yield strain, is looked for
+    """
 
     def __init__(self, tracks: MarkerTracks, vertices, tets, material: Material, roll: Roll, where: str):
         self.tracks, self.base, self.roll, self.where = tracks, material, roll, where
@@ -127,15 +130,15 @@ class MaterialProblem:
         self.size = float(np.ptp(x, axis=0).max())
         self.shape = ElasticShape(x, tets, held, material.poisson, MODES)
         self._set_start()
-        rubs = len(tracks.planes) > 0
-        self.rubs, log = rubs, np.log
+        self.rubs, log = len(tracks.planes) > 0, np.log
+        self.flows = not self.rubs and tracks.camera is None  # films do not show it well (bench/NOTES.md)
         rows = {  # centre, spread, bounds and step of a parameter
             "young": (log(material.young), 6.0, *log(YOUNG_RANGE), 0.02),
             "damping": (log(1.5), 2.0, *log(DAMPING_RANGE), 0.1),
             "friction": (0.4, 1.0, *FRICTION_RANGE, 0.02),
             "yield_strain": (log(YIELD_RANGE[1]), 6.0, *log(YIELD_RANGE), 0.05),
         }
-        self.names = ["young", "damping", "friction" if rubs else "yield_strain"]
+        self.names = ["young", "damping", *["friction"] * self.rubs, *["yield_strain"] * self.flows]
         self.main = len(self.names)
         of_start = [(0.0, 20.0, -200.0, 200.0, 1.0)] * len(self.fields)
         self.prior = Prior(*np.array([*(rows[name] for name in self.names), *of_start]).T)
@@ -188,19 +191,21 @@ class MaterialProblem:
 
     def material(self, theta: np.ndarray) -> Material:
         """The material of parameters (P,)."""
-        friction, strain = float(theta[2]) if self.rubs else self.base.friction, float(np.exp(theta[2]))
+        friction, strain = float(theta[2]) if self.rubs else self.base.friction, self.base.yield_strain
+        if self.flows:
+            strain = float(np.exp(theta[2])) if self.yields(theta) else None
         return replace(
             self.base,
             young=float(np.exp(theta[0])),
             damping=float(np.exp(theta[1])),
             friction=friction,
             kinetic_friction=None if self.rubs else self.base.kinetic_friction,
-            yield_strain=strain if self.yields(theta) else self.base.yield_strain if self.rubs else None,
+            yield_strain=strain,
         )
 
     def yields(self, theta: np.ndarray) -> bool:
         """True if parameters (P,) have a yield strain that is to be found."""
-        return not self.rubs and bool(theta[2] < self.prior.high[2])
+        return self.flows and bool(theta[2] < self.prior.high[2])
 
     def candidate(self, theta: np.ndarray) -> tuple[Material, np.ndarray, np.ndarray]:
         """Material, positions and velocities at the start, (V, 3)."""
@@ -343,7 +348,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     numbers = numbers_of(problem, fitted, limit, mass_known, left)
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
     own = problem.base.yield_strain
-    if own is not None and not problem.rubs and "young" in seen and "yield_strain" not in seen:
+    if own is not None and problem.flows and "young" in seen and "yield_strain" not in seen:
         thetas = np.stack([theta, theta])
         thetas[1, 2] = np.log(own)
         elastic, flows = loss_of(problem.residuals(thetas), fitted.scale)
@@ -370,7 +375,7 @@ def with_yield(problem: MaterialProblem, elastic: Fitted, progress: Callable[[fl
     together, near the elastic stiffness: of what is far stiffer and yields far earlier the motion is almost the same,
     and steps end there.
     """
-    if problem.rubs:
+    if not problem.flows:
         return elastic
     tried = [(e, d, strain) for e in YIELD_YOUNGS for d in FINE_DAMPINGS for strain in YIELD_SCAN]
     thetas = np.zeros((len(tried), len(elastic.theta)))

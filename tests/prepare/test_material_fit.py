@@ -296,7 +296,7 @@ def test_the_same_is_found_from_one_camera_although_markers_are_offset():
     camera = perspective(480, 360, 0.6, look_at((0.05, 0.1, 0.5), (0.12, 0.0, 0.0)))
     tracks = seen_by(camera, box_mesh(SIZE, (8, 1, 1))[0])
     found = fitted(tracks)
-    young, damping, _ = found.numbers
+    young, damping = found.numbers
     np.testing.assert_allclose(young.played, TRUE.young, rtol=0.03)
     np.testing.assert_allclose(damping.played, TRUE.damping, rtol=0.2)
     assert damping.low < TRUE.damping < damping.high and found.error < 3 * 0.3 * tracks.metres

@@ -28,7 +28,7 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
-    "core": 2_907, "assets": 5_162, "scenes": 2_344, "sim": 11_053, "render": 3_561, "prepare": 15_584,
+    "core": 2_907, "assets": 5_162, "scenes": 2_344, "sim": 11_053, "render": 3_561, "prepare": 15_587,
     "display": 13_887, "commands": 4_671, "bench": 3_474, "installer": 200, "tests": 37_426,
 }  # fmt: skip
 MOST_FILES = 313  # of the product

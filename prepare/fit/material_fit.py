@@ -41,6 +41,7 @@ BETTER = 1 + BLOCK_QUANTILE**2 / (BLOCKS - 1)  # ratio of losses at which one pa
 FIRST_FRICTION = 0.25  # slides on most slopes: what sticks says nothing of how much less would let it slide
 UNITS = {"young": "Pa", "damping": "1/s", "friction": "", "yield_strain": ""}
 LONGEST_LAG = 1 / 1260  # [s] of inner friction in the simulator: its substep; other integrators take less
+FLOW_SPREAD = 0.07  # of a yield strain: by so much two integrators differ in how far they let a bar flow
 MODES = 2  # whose amplitude and speed at the start are fitted
 NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
 FRICTION_NOT_VISIBLE = 0.25
@@ -475,6 +476,8 @@ def numbers_of(
     slowest = problem.shape.stiffness[0] * np.exp(fitted.theta[0]) / problem.base.density  # squared frequency [1/s^2]
     lag = min(1 / RAYLEIGH_FREQUENCY**2, LONGEST_LAG / np.exp(fitted.theta[1]))  # [s^2] of inner friction / damping
     half[1] = np.hypot(half[1], slowest * lag)
+    if problem.flows:
+        half[2] = np.hypot(half[2], FLOW_SPREAD)
     per_unit = problem.noise * np.sqrt(problem.tracks.points.shape[2] * (fitted.jacobian**2).mean(0))  # [m]
     half = np.minimum(np.hypot(half, left / np.maximum(per_unit, 1e-9)), 99.0)  # of which exp() is still finite
     pressed = left**2 < UNEXPLAINED * problem.inner**2 or problem.inner < STILL * problem.noise

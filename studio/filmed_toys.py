@@ -47,6 +47,7 @@ class FilmedToy:
     drop     [m] over that from which it falls;   lean  [degrees] to the side
     turn     [degrees] about the vertical;   before  [s] that have passed when the film begins
     shake    [px] by which the hand that holds the camera turns it to each side
+    yield_strain  beyond which it stays bent; None: it springs back
     """
 
     asset: str
@@ -65,6 +66,7 @@ class FilmedToy:
     seconds: float = 1.0
     fps: float = 30.0
     shake: float = 0.0
+    yield_strain: float | None = None
 
 
 CLIPS = {
@@ -72,6 +74,7 @@ CLIPS = {
     "rabbit_by_hand": FilmedToy("rabbit", 5e3, 3.0, held=0.25, push=(0.5, 0.0, 0.25), turn=25.0, shake=6.0),
     "toy_rabbit_hung": FilmedToy("toy_rabbit", 4e3, 2.0, held=0.4, push=(1.0, 0.0, 0.4), turn=20.0, seconds=1.2),
     "cat_hung": FilmedToy("toy_cat", 1.5e4, 6.0, held=0.2, push=(1.6, 0.0, 0.6), turn=-20.0),
+    "cat_of_clay": FilmedToy("toy_cat", 4e4, 4.0, held=0.2, push=(2.5, 0.0, 0.75), turn=-20.0, yield_strain=0.05),
     "teddy_hung": FilmedToy("toy_teddy", 8e3, 4.0, held=0.3, push=(0.9, 0.0, 0.3), turn=15.0),
     "penguin_hung": FilmedToy("toy_penguin", 3e4, 3.0, held=0.25, push=(1.8, 0.0, 0.5), turn=-35.0),
     "whale_hung": FilmedToy("toy_whale", 1e3, 2.0, held=0.3, push=(0.2, 0.0, 0.1), turn=60.0, seconds=1.5),
@@ -106,7 +109,7 @@ def film_toy(name: str, folder: Path, report: Callable[[str], None], *, size=(48
     clip = CLIPS[name]
     asset = Asset.load(find_asset(clip.asset))
     body = replace(asset.material, young=clip.young, damping=clip.damping, friction=clip.friction)
-    body = replace(body, kinetic_friction=None)
+    body = replace(body, kinetic_friction=None, yield_strain=clip.yield_strain)
     count, rng = round(clip.seconds * clip.fps), np.random.default_rng(seed)
     moments, shares = exposures(size[1], 1 / clip.fps)
     times = (np.arange(count)[:, None] / clip.fps + moments - moments[0]).ravel()

@@ -1,5 +1,5 @@
 """Fitting: the material of a real thing, from how it moved.
 
 In: a prepared body, and tracks of points on it.
-Out: Young's modulus, damping and friction with their intervals, and a report.
+Out: Young's modulus, damping, friction and yield strain with their intervals, and a report.
 """

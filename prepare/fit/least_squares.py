@@ -85,18 +85,20 @@ def gradient(jacobian: np.ndarray, residuals: np.ndarray, scale: float) -> np.nd
     return jacobian.T @ (weights_of(residuals, scale) * np.nan_to_num(residuals)) / scale**2
 
 
-def minimise(model: Model, start: np.ndarray, prior: Prior, least_scale: float, progress=lambda done: None) -> Fitted:
+def minimise(
+    model: Model, start: np.ndarray, prior: Prior, least_scale: float, progress=lambda done: None, steps=MOST_STEPS
+) -> Fitted:
     """The minimum that damped Gauss-Newton reaches from `start` (P,); `least_scale`: the data's noise."""
     theta, r, J, scale, H = start.copy(), None, None, least_scale, None
-    for k in range(MOST_STEPS + 1):
+    for k in range(steps + 1):
         sign = np.where(theta + prior.step > prior.high, -1.0, 1.0)
         r, J = derivatives(model, theta, sign * prior.step)
         scale = scale_of(r, least_scale)
         w = weights_of(r, scale)[:, None]
         H = J.T @ (w * J) / scale**2 + np.diag(prior.spread**-2.0)
         g = gradient(J, r, scale) + (theta - prior.centre) / prior.spread**2
-        progress(k / MOST_STEPS)
-        if k == MOST_STEPS:
+        progress(k / steps)
+        if k == steps:
             break
         trials = np.stack([theta - np.linalg.solve(H + d * np.diag(np.diag(H)), g) for d in DAMPINGS])
         trials = np.clip(trials, prior.low, prior.high)

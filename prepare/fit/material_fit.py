@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from core.errors import BadInput
 from core.material import RAYLEIGH_FREQUENCY, Material
-from prepare.fit.least_squares import BLOCKS, Fitted, Prior, minimise
+from prepare.fit.least_squares import BLOCK_QUANTILE, BLOCKS, Fitted, Prior, loss_of, minimise
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
 from prepare.fit.marker_tracks import (
     MarkerTracks,
@@ -30,13 +30,18 @@ Roll = Callable[["CageOfMarkers", list[tuple[Material, np.ndarray, np.ndarray]]]
 
 STEPS = ("scan", "fit", "interval")  # of the progress
 YOUNG_RANGE, DAMPING_RANGE, FRICTION_RANGE = (1e2, 3e8), (0.02, 100.0), (0.0, 1.5)
+YIELD_RANGE = (1e-3, 2.0)  # at its end a material is elastic: nothing is strained so far
 SCAN_FACTOR = 1.35  # from one Young's modulus of the scan to the next: 16% in frequency
 SCAN_RANGE = (5e1, 3e7)  # [Pa] at 100 kg/m^3 and a size of 10 cm, and with size^2 and density
 FINE_FACTORS = 1.1 ** np.arange(-3, 4)
 FINE_DAMPINGS = (0.5, 4.0)  # [1/s]
+YIELD_YOUNGS = (1.4, 2.0)  # times Young's modulus: what stays bent is stiffer than what bends as far and springs back
+YIELD_SCAN = np.geomspace(0.004, 0.3, 16)
+BETTER = 1 + BLOCK_QUANTILE**2 / (BLOCKS - 1)  # ratio of losses at which one parameter more is one: F of 1 and 9, 10%
 FIRST_FRICTION = 0.25  # slides on most slopes: what sticks says nothing of how much less would let it slide
-UNITS = {"young": "Pa", "damping": "1/s", "friction": ""}
+UNITS = {"young": "Pa", "damping": "1/s", "friction": "", "yield_strain": ""}
 LONGEST_LAG = 1 / 1260  # [s] of inner friction in the simulator: its substep; other integrators take less
+FLOW_SPREAD = 0.07  # of a yield strain: by so much two integrators differ in how far they let a bar flow
 MODES = 2  # whose amplitude and speed at the start are fitted
 NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
 FRICTION_NOT_VISIBLE = 0.25
@@ -103,8 +108,12 @@ class MaterialFit:
 
 
 class MaterialProblem:
-    """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, and
-    corrections of the start (of the velocity of a free body, and of the amplitude and speed of its slowest modes)."""
+    """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, else
+    log yield strain if there is no camera, and corrections of the start (of the velocity of a free body, and of the
+    amplitude and speed of its slowest modes).
+
+    rubs, flows   whether friction, or a yield strain, is looked for
+    """
 
     def __init__(self, tracks: MarkerTracks, vertices, tets, material: Material, roll: Roll, where: str):
         self.tracks, self.base, self.roll, self.where = tracks, material, roll, where
@@ -122,20 +131,18 @@ class MaterialProblem:
         self.size = float(np.ptp(x, axis=0).max())
         self.shape = ElasticShape(x, tets, held, material.poisson, MODES)
         self._set_start()
-        rubs = len(tracks.planes) > 0
-        self.names = ["young", "damping", *(["friction"] if rubs else [])]
-        self.main = len(self.names)
-        self.rubs = rubs
-        log, each = np.log, np.ones(len(self.fields))
-        rows = {
-            "centre": [log(material.young), log(1.5), 0.4],
-            "spread": [6.0, 2.0, 1.0],
-            "low": [log(YOUNG_RANGE[0]), log(DAMPING_RANGE[0]), FRICTION_RANGE[0]],
-            "high": [log(YOUNG_RANGE[1]), log(DAMPING_RANGE[1]), FRICTION_RANGE[1]],
-            "step": [0.02, 0.1, 0.02],
+        self.rubs, log = len(tracks.planes) > 0, np.log
+        self.flows = not self.rubs and tracks.camera is None  # films do not show it well (bench/NOTES.md)
+        rows = {  # centre, spread, bounds and step of a parameter
+            "young": (log(material.young), 6.0, *log(YOUNG_RANGE), 0.02),
+            "damping": (log(1.5), 2.0, *log(DAMPING_RANGE), 0.1),
+            "friction": (0.4, 1.0, *FRICTION_RANGE, 0.02),
+            "yield_strain": (log(YIELD_RANGE[1]), 6.0, *log(YIELD_RANGE), 0.05),
         }
-        of_start = {"centre": 0.0, "spread": 20.0, "low": -200.0, "high": 200.0, "step": 1.0}
-        self.prior = Prior(**{n: np.r_[row[: self.main], of_start[n] * each] for n, row in rows.items()})
+        self.names = ["young", "damping", *["friction"] * self.rubs, *["yield_strain"] * self.flows]
+        self.main = len(self.names)
+        of_start = [(0.0, 20.0, -200.0, 200.0, 1.0)] * len(self.fields)
+        self.prior = Prior(*np.array([*(rows[name] for name in self.names), *of_start]).T)
 
     def explained(self, error: float, moved: float) -> bool:
         """True if the error [m] is so small a part of a motion [m] that this is the material's doing."""
@@ -185,14 +192,21 @@ class MaterialProblem:
 
     def material(self, theta: np.ndarray) -> Material:
         """The material of parameters (P,)."""
-        friction = float(theta[2]) if self.rubs else self.base.friction
+        friction, strain = float(theta[2]) if self.rubs else self.base.friction, self.base.yield_strain
+        if self.flows:
+            strain = float(np.exp(theta[2])) if self.yields(theta) else None
         return replace(
             self.base,
             young=float(np.exp(theta[0])),
             damping=float(np.exp(theta[1])),
             friction=friction,
             kinetic_friction=None if self.rubs else self.base.kinetic_friction,
+            yield_strain=strain,
         )
+
+    def yields(self, theta: np.ndarray) -> bool:
+        """True if parameters (P,) have a yield strain that is to be found."""
+        return self.flows and bool(theta[2] < self.prior.high[2])
 
     def candidate(self, theta: np.ndarray) -> tuple[Material, np.ndarray, np.ndarray]:
         """Material, positions and velocities at the start, (V, 3)."""
@@ -309,7 +323,8 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     progress("scan", 1.0)
 
     def least() -> dict[str, np.ndarray]:
-        found = minimise(problem.residuals, scanned["guess"], problem.prior, 1.0, lambda d: progress("fit", d))
+        elastic = minimise(problem.residuals, scanned["guess"], problem.prior, 1.0, lambda d: progress("fit", d / 2))
+        found = with_yield(problem, elastic, lambda d: progress("fit", (1 + d) / 2))
         return {name: np.asarray(value) for name, value in vars(found).items()}
 
     kept = keep("fit", least)
@@ -333,6 +348,12 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
     numbers = numbers_of(problem, fitted, limit, mass_known, left)
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
+    own = problem.base.yield_strain
+    if own is not None and problem.flows and "young" in seen and "yield_strain" not in seen:
+        thetas = np.stack([theta, theta])
+        thetas[1, 2] = np.log(own)
+        elastic, flows = loss_of(problem.residuals(thetas), fitted.scale)
+        seen |= {} if flows < BETTER * elastic else {"yield_strain": None}
     return MaterialFit(
         material=replace(problem.base, **seen, **({"kinetic_friction": None} if "friction" in seen else {})),
         numbers=numbers,
@@ -346,6 +367,28 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
         steps=fitted.steps,
         mass_known=mass_known,
     )
+
+
+def with_yield(problem: MaterialProblem, elastic: Fitted, progress: Callable[[float], None]) -> Fitted:
+    """The minimum with a yield strain where that explains more than chance would, else the elastic one.
+
+    No steps lead there from the elastic one, where nothing flows. Stiffness, damping and yield strain are scanned
+    together, near the elastic stiffness: of what is far stiffer and yields far earlier the motion is almost the same,
+    and steps end there.
+    """
+    if not problem.flows:
+        return elastic
+    tried = [(e, d, strain) for e in YIELD_YOUNGS for d in FINE_DAMPINGS for strain in YIELD_SCAN]
+    thetas = np.zeros((len(tried), len(elastic.theta)))
+    thetas[:, : problem.main] = np.log(tried)
+    thetas[:, 0] += elastic.theta[0]
+    thetas = thetas.clip(problem.prior.low, problem.prior.high)
+    scores = np.log(windowed(problem.residuals(thetas), problem.tracks.points)).sum(1)
+    progress(0.3)
+    start = thetas[int(scores.argmin())]
+    found = minimise(problem.residuals, start, problem.prior, 1.0, lambda done: progress(0.3 + 0.7 * done))
+    before, after = loss_of(np.stack([elastic.residuals, found.residuals]), min(elastic.scale, found.scale))
+    return found if before > BETTER * after else elastic
 
 
 def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]) -> dict[str, np.ndarray]:
@@ -371,11 +414,14 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
         found = ElasticShape(x, tets, held, problem.base.poisson, 1).stiffness[0]
         return np.log(found) if found > 0 else np.nan
 
+    def residuals(cage: CageOfMarkers, thetas: np.ndarray) -> np.ndarray:
+        made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, thetas)]
+        return problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0))
+
     def fitted_again(held: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, float]:
         cage, theta, least = replace(fine, held=held), trials[0], np.inf
         for _ in range(CHORD_STEPS + 1):
-            made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, trials)]
-            rows = problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0))
+            rows = residuals(cage, trials)
             losses = np.nanmean(np.abs(rows), axis=1)
             best = int(losses.argmin())
             if not losses[best] < (1 - SMALL_CHORD) * least:
@@ -394,6 +440,10 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
     stiff = [stiffness(h) if len(h) >= 3 or begin == 0 else np.nan for h in held]
     starts = theta + (level - stiff[begin] + np.log(REFINED_FACTORS))[:, None] * first
     found = {begin: fitted_again(held[begin], starts)}
+    if problem.yields(theta):  # a coarse cage flows too unlike a fine one for its derivatives
+        own = replace(fine, held=held[begin])
+        fitted = minimise(lambda t: residuals(own, t), found[begin][0], problem.prior, fitted.scale, steps=1)
+        found = {begin: fitted_again(held[begin], fitted.theta[None])}
     least = found[begin][1]
     for side in (-1, 1):
         k = begin + side
@@ -426,6 +476,8 @@ def numbers_of(
     slowest = problem.shape.stiffness[0] * np.exp(fitted.theta[0]) / problem.base.density  # squared frequency [1/s^2]
     lag = min(1 / RAYLEIGH_FREQUENCY**2, LONGEST_LAG / np.exp(fitted.theta[1]))  # [s^2] of inner friction / damping
     half[1] = np.hypot(half[1], slowest * lag)
+    if problem.flows:
+        half[2] = np.hypot(half[2], FLOW_SPREAD)
     per_unit = problem.noise * np.sqrt(problem.tracks.points.shape[2] * (fitted.jacobian**2).mean(0))  # [m]
     half = np.minimum(np.hypot(half, left / np.maximum(per_unit, 1e-9)), 99.0)  # of which exp() is still finite
     pressed = left**2 < UNEXPLAINED * problem.inner**2 or problem.inner < STILL * problem.noise

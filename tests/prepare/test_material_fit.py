@@ -14,9 +14,10 @@ from prepare.fit import material_fit
 from prepare.fit.fit_report import lines_of, page_of
 from prepare.fit.least_squares import Fitted
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
-from prepare.fit.marker_tracks import MarkerTracks, Rig
+from prepare.fit.marker_tracks import MarkerTracks, Rig, marker_weights
 from prepare.fit.material_fit import MaterialProblem, fit_material, scan_youngs
 from prepare.progress import no_progress
+from sim.rollouts import Candidate, Rollouts
 
 SIZE = np.array([0.24, 0.04, 0.04])
 HELD = np.array([[-1, -1, -1], [1e-6, 1, 1.0]])
@@ -25,16 +26,20 @@ ASSET = Material(1e6, 0.3, 250.0, damping=4.0)
 GRAVITY, FRAMES = np.array([0, -9.81, 0.0]), 60
 
 
-def roll(cage, candidates, times=np.arange(FRAMES) / 60):
-    """Small motions of a held cage under gravity, exactly: each mode is a damped oscillation about its sag."""
-    free = np.setdiff1d(np.arange(len(cage.vertices)), cage.held)
-    if not hasattr(roll, "modes") or roll.modes[0] is not cage:
+def modes_of(cage):
+    """Free vertices of a held cage, squared frequencies at 1 Pa and 1 kg/m^3, modes of mass 1, and masses."""
+    if not hasattr(modes_of, "kept") or modes_of.kept[0] is not cage:
+        free = np.setdiff1d(np.arange(len(cage.vertices)), cage.held)
         s = ElasticShape(cage.vertices, cage.tets, cage.held, TRUE.poisson, 1)
         mass = np.repeat(s.mass[free], 3)
         squares, shapes = scipy.linalg.eigh(s.K.toarray() / np.sqrt(np.outer(mass, mass)))
-        shapes /= np.sqrt(mass)[:, None]
-        roll.modes = (cage, squares, shapes, mass)
-    _, squares, shapes, mass = roll.modes
+        modes_of.kept = (cage, free, squares, shapes / np.sqrt(mass)[:, None], mass)
+    return modes_of.kept[1:]
+
+
+def roll(cage, candidates, times=np.arange(FRAMES) / 60):
+    """Small motions of a held cage under gravity, exactly: each mode is a damped oscillation about its sag."""
+    free, squares, shapes, mass = modes_of(cage)
     found = []
     for m, x, v in candidates:
         w2 = squares * m.young / m.density
@@ -52,7 +57,28 @@ def roll(cage, candidates, times=np.arange(FRAMES) / 60):
     return np.stack(found, 1)
 
 
-def tracks_of(material, cells, noise=2e-4, seed=0, start=0.0):
+def yielding(cage, candidates):
+    """The slowest mode alone, by small steps: where it is at rest follows it, beyond 0.2 m times the yield strain."""
+    free, squares, shapes, mass = modes_of(cage)
+    materials, x, v = zip(*candidates, strict=True)
+    load = shapes[:, 0] @ (mass * np.tile(GRAVITY, len(free)))
+    w2 = squares[0] * np.array([m.young / m.density for m in materials])
+    most = 0.2 * np.array([m.yield_strain or np.inf for m in materials]) * np.sqrt(mass.sum() / 3)
+    c = np.array([m.damping for m in materials])
+    q, dq = (np.array([shapes[:, 0] @ (mass * u[free].ravel()) for u in us]) for us in (x - cage.vertices, v))
+    rest, found, dt = 0 * q, [], 1 / 960
+    for k in range(16 * FRAMES):
+        if k % 16 == 0:
+            found.append(q)
+        dq = (dq + dt * (load - w2 * (q - rest))) / (1 + dt * c)
+        q = q + dt * dq
+        rest = np.clip(rest, q - most, q + most)
+    places = np.tile(cage.vertices, (FRAMES, len(q), 1, 1))
+    places[:, :, free] += (np.array(found)[..., None] * shapes[:, 0]).reshape(FRAMES, len(q), -1, 3)
+    return np.moveaxis([cage.markers(p) for p in np.moveaxis(places, 1, 0)], 0, 1)
+
+
+def tracks_of(material, cells, noise=2e-4, seed=0, start=0.0, roll=roll):
     """Markers on a bar that is let go at rest, by a cage of these cells; NaN where a marker is hidden."""
     rng = np.random.default_rng(seed)
     rest = rng.uniform([0.2, 0, 0], 1, (12, 3)) * SIZE
@@ -70,7 +96,7 @@ def tracks_of(material, cells, noise=2e-4, seed=0, start=0.0):
     return replace(blank, points=points)
 
 
-def fitted(tracks, cells=(8, 1, 1), asset=ASSET, **known):
+def fitted(tracks, cells=(8, 1, 1), asset=ASSET, roll=roll, **known):
     x, tets, _ = box_mesh(SIZE, cells)
     problem = MaterialProblem(tracks, x, tets, asset, roll, "clip")
     return fit_material(problem, no_progress, lambda name, make: make(), mass_known=known.get("mass_known", True))
@@ -78,16 +104,58 @@ def fitted(tracks, cells=(8, 1, 1), asset=ASSET, **known):
 
 def test_stiffness_and_damping_are_found_and_are_within_their_intervals():
     found = fitted(tracks_of(TRUE, (8, 1, 1)), mass_known=False)
-    ratio, young, damping = found.numbers
-    assert [n.name for n in found.numbers] == ["young / density", "young", "damping"] and all(
-        n.seen for n in found.numbers
-    )
+    ratio, young, damping, _ = found.numbers
+    names = ["young / density", "young", "damping", "yield_strain"]
+    assert [n.name for n in found.numbers] == names and [n.seen for n in found.numbers] == [True, True, True, False]
     np.testing.assert_allclose(young.played, TRUE.young, rtol=0.02)  # of the same cage
     np.testing.assert_allclose(damping.played, TRUE.damping, rtol=0.1)
     assert damping.low < TRUE.damping < damping.high
     np.testing.assert_allclose(ratio.value * TRUE.density, young.value)
     assert found.material == replace(ASSET, young=young.played, damping=damping.played)
     assert found.error < 2 * np.sqrt(3) * found.noise
+
+
+def test_a_yield_strain_is_found_where_the_clip_ends_deformed():
+    true = replace(TRUE, yield_strain=0.05)
+    found = fitted(tracks_of(true, (8, 1, 1), roll=yielding), roll=yielding)
+    young, _, strain = found.numbers
+    assert young.seen and strain.seen and strain.low < strain.value < strain.high < 1.5 * strain.low
+    np.testing.assert_allclose([young.played, strain.played], [true.young, true.yield_strain], rtol=0.03)
+    assert found.material.yield_strain == strain.played and f"{strain.value:.3g} (" in "".join(lines_of(found))
+
+
+def test_the_simulators_yield_strain_is_found_from_another_integrator(ti_cpu, monkeypatch):
+    """XPBD moves the truth; the fit begins with half of its Young's modulus, as the scan might give it."""
+    monkeypatch.setattr(material_fit, "MOST_REFINED", 0)
+    true, times = replace(TRUE, young=1e5, damping=3.0, yield_strain=0.03), np.arange(12) / 30
+    x, tets, _ = box_mesh(SIZE, (4, 1, 1))
+    tracks = tracks_of(TRUE, (4, 1, 1))
+    weights, held = marker_weights(x, tets, tracks.rest, "truth"), np.flatnonzero(x[:, 0] < 1e-6)
+    other = Rollouts(x, tets, held, 1, integrator="xpbd")
+    points = other.run([Candidate(true, x, 0 * x)], times, lambda q: weights @ q[0])
+    points += 2e-4 * np.random.default_rng(0).normal(size=points.shape)
+    usual = Rollouts(x, tets, held, 64)
+
+    def roll(cage, candidates):
+        return usual.run([Candidate(*c) for c in candidates], times, cage.markers)
+
+    problem = MaterialProblem(replace(tracks, times=times, points=points), x, tets, ASSET, roll, "clip")
+    start = problem.prior.centre.copy()
+    start[:2] = np.log([0.5 * true.young, 4.0])
+    scanned = {"scores": np.ones((len(scan_youngs(problem)), 3)), "guess": start}
+    keep = lambda name, make: scanned if name == "scan" else make()  # noqa: E731
+    found = fit_material(problem, no_progress, keep, mass_known=True)
+    for number in found.numbers:
+        assert number.seen and number.low < getattr(true, number.name) < number.high < 2 * number.low
+    for rollouts in (usual, other):
+        rollouts.destroy()
+
+
+@pytest.mark.parametrize(("asset", "kept"), [(None, None), (0.01, None), (0.5, 0.5)])
+def test_what_springs_back_gets_no_yield_strain_and_loses_one_that_would_show(asset, kept):
+    found = fitted(tracks_of(TRUE, (8, 1, 1), roll=yielding), asset=replace(ASSET, yield_strain=asset), roll=yielding)
+    assert not found.numbers[-1].seen and found.material.yield_strain == kept
+    np.testing.assert_allclose(found.material.young, TRUE.young, rtol=0.03)
 
 
 def test_a_coarse_cage_is_corrected_for_its_size():

@@ -68,7 +68,8 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray) -> Samples:
 def surface_gaussians(vertices: np.ndarray, mesh: SkinnedMesh, at: Samples) -> Gaussians:
     """Flat Gaussians on the mesh with these vertices (V, 3), in its colours."""
     v = vertices[mesh.faces]
-    quats = turns_to(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), np.zeros(len(v)))[at.face]
+    normals = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])[at.face]  # of triangles with an area
+    quats = turns_to(normals, np.zeros(len(normals)))
     sigma = GAUSSIAN_SIGMA * at.spacing
     scales = np.log(np.tile([sigma, sigma, FLATNESS * sigma], (len(at.face), 1)))
     linear = at.interpolate(mesh.colours)

@@ -47,6 +47,7 @@ MODES, FREE_MODES = 2, 5  # whose amplitude and speed at the start are fitted, o
 NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
 FRICTION_NOT_VISIBLE = 0.25
 STILL = 4.0  # deviations of the noise by which markers must move against each other
+RIGID = 1.0  # [px] by which tracks of a rigid thing move against each other: they are off by 0.9 (bench/NOTES.md)
 UNEXPLAINED = 0.5  # of the variance of markers against each other: with more left, what presses a thing is not known
 UNLIKE = 0.35  # of how markers move against the thing's own way: what is left unexplained of another thing's motion
 MOST_REFINED = 2_500  # vertices of a cage that is refined to see what its size costs
@@ -508,8 +509,9 @@ def numbers_of(
     """The numbers with their intervals: by the residuals, half of what the cage's size changes, and what is held.
 
     No number is known better than to what would move markers by `left` [m], which noise does not explain. Where that is
-    much of their motion against each other, friction of a thing that deforms is not seen, as at impacts; nor stiffness
-    and damping, unless their motion is `explained` by a finer cage. Solvers take less inner friction than a material
+    much of their motion against each other, friction of a thing that deforms is not seen; nor stiffness and damping,
+    unless their motion is `explained` by a finer cage. A thing that falls rubs for the time of one impact, of which
+    integrators differ: its friction is not seen. Solvers take less inner friction than a material
     has, down to none: as much of the damping as this may be is in its interval.
     """
     shift, spread = limit["shift"], limit["spread"]
@@ -521,13 +523,15 @@ def numbers_of(
         half[2] = np.hypot(half[2], FLOW_SPREAD)
     per_unit = problem.noise * np.sqrt((fitted.jacobian**2).sum(0) / problem.tracks.seen.sum())  # [m]
     half = np.minimum(np.hypot(half, left / np.maximum(per_unit, 1e-9)), 99.0)  # of which exp() is still finite
-    pressed = left**2 < UNEXPLAINED * problem.inner**2 or problem.inner < STILL * problem.noise
+    pixel = RIGID * problem.tracks.metres if problem.tracks.camera is not None else 0.0
+    rigid = problem.inner < max(STILL * problem.noise, pixel)
+    rubbed = not problem.flies and (rigid or left**2 < UNEXPLAINED * problem.inner**2)
     found = []
     for k, name in enumerate(problem.names):
         middle = float(np.clip(fitted.theta[k] + shift[k], problem.prior.low[k], problem.prior.high[k]))
         ends = [middle, middle - half[k], middle + half[k], float(fitted.theta[k])]
         if name == "friction":
-            seen, ends[1] = bool(pressed and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
+            seen, ends[1] = bool(rubbed and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
         else:
             within = ends[1] > problem.prior.low[k] and ends[2] < problem.prior.high[k]
             seen = bool(explained and within and half[k] < NOT_VISIBLE)

@@ -260,6 +260,25 @@ def test_what_slides_shows_its_friction_but_not_its_stiffness(faster, bent):
     assert friction.low < 0.3 < friction.high and friction.high - friction.low < 0.05
 
 
+@pytest.mark.parametrize(("wrong", "above", "seen"), [(0.7, 0.0, True), (2.0, 0.0, False), (0.0, 0.1, False)])
+def test_friction_shows_in_pictures_of_what_slides_as_good_as_rigid_but_not_of_what_falls(wrong, above, seen):
+    """Tracks drift by some [px], as those of a rigid thing do; the thing begins that far above the plane [m]."""
+    rng, times = np.random.default_rng(0), np.arange(FRAMES) / 60
+    camera = perspective(480, 360, 0.9, look_at((0.3, 0.1, 1.6), (0.3, -0.3, 0.0)))
+    rest, metres, rig = rng.uniform(0, 1, (40, 3)) * SIZE, 1.7 / camera.fx, Rig((camera,), np.zeros(40, int))
+    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
+    x = x.astype(float)
+    planes = np.array([[0.6, 0.8, 0.0, -above]])
+    way = 0.5 * 9.81 * (0.6 - 0.8 * 0.3) * times[:, None, None] ** 2 * [0.8, -0.6, 0.0]
+    drift = wrong * np.sin(9 * times[:, None, None] + 6 * rng.uniform(size=(1, 40, 2)))
+    points = metres * (np.stack(camera.projected(rest + way)[:2], -1) + drift)
+    tracks = MarkerTracks(times, points, rest, None, np.inf, np.eye(4), planes, GRAVITY, rig, metres, x)
+    problem = MaterialProblem(tracks, x, tets, ASSET, sliding, "clip")
+    friction = fit_material(problem, no_progress, lambda name, make: make(), mass_known=True).numbers[2]
+    assert problem.flies == (above > 0) and friction.seen == seen
+    assert not seen or (friction.low < 0.3 < friction.high and abs(friction.value - 0.3) < 0.05)
+
+
 def test_no_number_is_known_better_than_to_what_the_material_leaves_unexplained(monkeypatch):
     """The bar is also shaken at 5.3 Hz: at the ends of the interval it moves by at least as much as is left over."""
     monkeypatch.setattr(material_fit, "MOST_REFINED", 0)

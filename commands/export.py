@@ -163,7 +163,7 @@ class ConvertOptions(cli.Options):
     output: Path = cli.argument("OUT", ".ply, .compressed.ply, .spz, .splat, .sog or .glb")
     spz_version: Literal[3, 4] = cli.option(None, ".spz: 3, which all programs read (default), or 4, some smaller", 3)
     up: cli.Axis | None = cli.option(None, ".glb: the input's up axis, turned to +y (default: guessed)")
-    decimate: cli.Share | None = cli.option("N|P%%", "merge Gaussians with the least error until N, or P%%, are left")
+    decimate: cli.Share | None = cli.option("N|P%", "merge Gaussians with the least error until N, or P%%, are left")
 
 
 def convert(options: ConvertOptions) -> None:

@@ -15,6 +15,7 @@ REACH = 16  # neighbours along the Z-order curve, on either side, of which one i
 SHARE = 0.5  # of a round's pairs that are merged, the cheapest: the others may find better partners later
 THINNEST = 1e-4  # of a pair's variances, added to them: float32 resolves the determinants of thin shadows then
 MOST_OPAQUE = 0.999  # finite as a logit
+LARGEST = 1e12  # [m^2] of variance, beyond which nothing is merged: float32 has no room for determinants
 TINY = 1e-30  # [m^2] keeps quotients finite
 
 vec2, vec4 = ti.math.vec2, ti.math.vec4
@@ -127,7 +128,7 @@ class Merging:
         """Merge pairs (N, 2) to Gaussians from `first` on.
 
         w = opacity A,  t = w_b / (w_a + w_b),  d = mu_b - mu_a,  mu = mu_a + t d,
-        Sigma = (1 - t) Sigma_a + t Sigma_b + t (1 - t) d d^T,  opacity = (w_a + w_b) / A.     Kerbl 2024, Sec. 4.2
+        Sigma = (1 - t) Sigma_a + t Sigma_b + t (1 - t) d d^T,  opacity = (w_a + w_b) / A.     Kerbl 2024
         """
         for i in range(pairs.shape[0]):
             a, b, p = pairs[i, 0], pairs[i, 1], first + i
@@ -166,7 +167,10 @@ class Merging:
             error += ca.dot(ca) * overlap(A, A, 0 * D) + cb.dot(cb) * overlap(B, B, 0 * D)
             error += cp.dot(cp) * overlap(P, P, 0 * D) + 2 * ca.dot(cb) * overlap(A, B, D)
             error -= 2 * (ca.dot(cp) * overlap(A, P, t * D) + cb.dot(cp) * overlap(B, P, (1 - t) * D))
-        return ti.max(error / 3, 0.0)
+        cost = ti.math.inf
+        if sp[0] + sp[3] + sp[5] < LARGEST:  # false for what is not a number, too
+            cost = ti.max(error / 3, 0.0)
+        return cost
 
 
 @ti.func
@@ -201,7 +205,7 @@ def decimated(gaussians: Gaussians, count: int) -> Gaussians:
     means, cov, opacities, sh, ids = merging.read(merging.decimate())
     merging.destroy()
     quats, log_scales = axes_of(symmetric_matrices(cov))
-    logits = np.log(opacities) - np.log1p(-opacities)
+    logits = np.log(np.maximum(opacities, TINY)) - np.log1p(-np.minimum(opacities, MOST_OPAQUE))
     merged = Gaussians.of(means, quats, log_scales, logits.clip(-80, 80), sh, ids)
     about = {name: getattr(gaussians, name) for name in ("objects", "sort", "antialias", "view")}
     return replace(merged, **about)

@@ -69,6 +69,15 @@ def test_objects_are_not_mixed_and_the_rest_is_kept(ti_cpu):
     assert decimated(g, 40) is g
 
 
+def test_what_is_too_large_or_too_far_for_float32_stays_as_it_is(ti_cpu):
+    g = some_gaussians(40, 0)
+    g.log_scales[3], g.means[7] = 39.0, 9e14
+    few = decimated(g, 10)
+    few.check("merged")
+    assert len(few) == 10
+    assert (few.means.max(1) > 8e14).sum() == (few.log_scales.min(1) > 38).sum() == 1
+
+
 def test_merging_looks_more_alike_than_dropping_the_smallest(ti_cpu):
     """A wall of two colours: its border must stay, and what is merged must stay opaque."""
     rng = np.random.default_rng(0)

@@ -149,7 +149,11 @@ def find_body(world, wanted: str | None) -> int | None:
 
 @dataclass(kw_only=True)
 class ConvertOptions(cli.Options):
-    EXAMPLES = ("convert cat.sog cat.spz", "convert cat.ply cat.glb")
+    EXAMPLES = (
+        "convert cat.sog cat.spz",
+        "convert cat.ply cat.glb",
+        "convert room.ply small.ply --decimate 25%",
+    )
     CONDITIONS = (
         cli.Condition(("--up",), lambda o: o.output.suffix.lower() == ".glb", "belongs to a .glb, of which +y is up"),
         cli.Condition(("--spz-version",), lambda o: o.output.suffix.lower() == ".spz", "belongs to a .spz"),
@@ -159,6 +163,7 @@ class ConvertOptions(cli.Options):
     output: Path = cli.argument("OUT", ".ply, .compressed.ply, .spz, .splat, .sog or .glb")
     spz_version: Literal[3, 4] = cli.option(None, ".spz: 3, which all programs read (default), or 4, some smaller", 3)
     up: cli.Axis | None = cli.option(None, ".glb: the input's up axis, turned to +y (default: guessed)")
+    decimate: cli.Share | None = cli.option("N|P%", "merge Gaussians with the least error until N, or P%%, are left")
 
 
 def convert(options: ConvertOptions) -> None:
@@ -179,6 +184,9 @@ def convert(options: ConvertOptions) -> None:
         note, before = f", {shown.note}", shown.gaussians.select(object_order(shown.gaussians))
     else:
         before = read_gaussians(source)
+    if options.decimate is not None:
+        before, merged = fewer(before, options.decimate, f"{source}")
+        note += f", merged from {merged}"
     progress(f"  2/3 writing {len(before)} Gaussians to {target.name}")
     version = {"version": options.spz_version} if kind == ".spz" else {}
     write_gaussians(target, before, report=no_line, **version)  # the losses below say it
@@ -194,6 +202,19 @@ def convert(options: ConvertOptions) -> None:
         size += f", was {source.stat().st_size / 1e6:.2f} MB"
     what = f"{len(after)} Gaussians of SH degree {after.sh_degree} ({size})"
     print(f"{target}: {what}{note}; lost: {', '.join(lost) or 'nothing'}")
+
+
+def fewer(gaussians: Gaussians, wanted: float, where: str) -> tuple[Gaussians, int]:
+    """As many Gaussians as wanted, a number or a share below 1, and how many there were. Raises BadInput."""
+    from core.runtime import start_taichi
+    from render.merging import decimated
+
+    there = len(gaussians)
+    count = int(wanted) if wanted >= 1 else max(1, round(wanted * there))
+    if count >= there:
+        raise BadInput(f"--decimate: {where} holds {there} Gaussians, no more than are wanted")
+    start_taichi()
+    return decimated(gaussians, count), there
 
 
 def no_line(line: str) -> None:

@@ -208,6 +208,18 @@ def within(low: float, high: float, what: str) -> Callable[[str], float]:
     return parse
 
 
+def share(text: str) -> float:
+    """A whole number from 1 on, or a percentage below 100 as a share below 1."""
+    number = text.removesuffix("%")
+    try:
+        value = float(number) / 100 if number != text else float(int(text))
+    except ValueError:
+        value = 0.0
+    if not (0 < value < 1 if number != text else 1 <= value < 1e9):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a positive whole number nor a percentage below 100%")
+    return value
+
+
 def colour(text: str) -> tuple[float, float, float]:
     """A colour by name, or as #rrggbb; each channel 0..1."""
     if text in BACKGROUND_NAMES:
@@ -233,6 +245,7 @@ Count = Annotated[int, positive(int)]
 Amount = Annotated[float, positive(float)]
 Size = Annotated[tuple[int, int], size]
 Port = Annotated[int, port]
+Share = Annotated[float, share]
 Colour = Annotated[tuple[float, float, float], colour]
 PictureName = Annotated[Path, picture_name]
 Elevation = Annotated[float, within(-89.0, 89.0, "an angle between -89 and 89 degrees")]

@@ -1,4 +1,4 @@
-"""Projection of Gaussians to splats: EWA covariance, colour, and the tiles that each splat touches, per view."""
+"""Projection of Gaussians to splats: their outlines, colour, and the tiles that each splat touches, per view."""
 
 import math
 
@@ -27,7 +27,11 @@ from render.splats import Splats, color_of
 
 NEAR_PLANE = 0.01  # [m] of camera z
 DILATION = 0.3  # [px^2] added to the variance: a splat is never thinner than a pixel's filter
-GUARD_BAND = 0.3  # the Jacobian's x/z is held within the picture plus this fraction of tan(fov / 2)
+GUARD_BAND = 0.3  # with `linear`, the Jacobian's x/z is held within the picture plus this fraction of tan(fov / 2)
+OUTLINE = 2 * math.log(2)  # [sigma^2] of the outline that is projected exactly: where half of the opacity is left
+# Most OUTLINE var(z) / z^2: what reaches farther towards the eye is flattened along the view. At 1 the outline would
+# pass the eye; of 0.15 to 0.7, this has the least error of Gaussians within and beside a picture of 100 degrees.
+MAX_REACH = 0.3
 # A Gaussian's sort key: its depth in three digits of the sort, and above them the number of its pairs, MANY or more.
 DEPTH_BITS, MANY = 24, 255
 MAX_DEPTH, KEY_STEP = 2e6, 11  # [m]; [floats] of one key: the 22 * 2^23 floats up to MAX_DEPTH have keys
@@ -48,13 +52,14 @@ class Projection:
     near       least camera z [m] that is drawn, (views,)
     grid       (width, height [px], columns, rows of tiles): a field, so that another picture size needs no new kernels
     changed    tiles that differ from the last picture, or None if they are not wanted
+    linear     splats are projected by the Jacobian at the mean (EWA), as gsplat does and gradients assume
     still      number of Gaussians at the beginning of which nothing but the visibility ever changes: a view that has
                been projected is kept, their sort keys in `kept_key`. Their colours without visibility are `kept_color`,
                (r, g, b, bits of their `color_age`); those of an older age are seen anew. An age ends when the eye has
                moved by more than `color_reach` [m] from `color_eye`
 
     Out, of shape (views, capacity):
-    mean2d     (x, y [px], log2 opacity, camera z [m])
+    mean2d     (x, y [px], log2 opacity, camera z [m]); (x, y) is the centre of the outline
     conic      (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
     color      (r, g, b, on a CPU the half height [px] of `box_of`)
     slope      changes of 1/z per column and per row [1/(m px)], see `depth_slope`; with sort="pixel" only
@@ -73,6 +78,7 @@ class Projection:
         antialias: bool,
         color: bool,
         sort: str = "z",
+        linear: bool = False,
         still: int = 0,
         color_reach: float = 0.0,
         changed: ChangedTiles | None = None,
@@ -81,6 +87,7 @@ class Projection:
             raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
         self.splats, self.radial, self.with_slope = splats, sort != "z", sort == "pixel"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
+        self.linear = linear
         self.still, self.keeps, self.color_reach = still, still > 0, color_reach
         self.keeps_color = self.keeps and splats.coefficients > 1  # else it is the same from everywhere
         self.changed, self.compares = changed, changed is not None
@@ -126,6 +133,7 @@ class Projection:
 
         Sigma_2D = J W Sigma W^T J^T + 0.3 I, J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]]
         with x/z and y/z held near the picture.                       Zwicker 2001; Kerbl 2023
+        Unless `linear`, it is corrected to the exact outline, see `_outline`.
         """
         if ti.static(self.compares):
             self.changed.begin(whole)
@@ -298,10 +306,41 @@ class Projection:
         intrinsics = self.camera[v, 3]
         fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
         width, height = self.grid[None][0], self.grid[None][1]
-        margin_x, margin_y = GUARD_BAND * 0.5 * width / fx, GUARD_BAND * 0.5 * height / fy
+        band = ti.static(0.5 * GUARD_BAND if self.linear else 0.0)
+        margin_x, margin_y = band * width / fx, band * height / fy
         held_x = clamp(x, -cx / fx - margin_x, (width - cx) / fx + margin_x)
         held_y = clamp(y, -cy / fy - margin_y, (height - cy) / fy + margin_y)
         return held_x, held_y
+
+    @ti.func
+    def _outline(self, v: ti.i32, x: ti.f32, y: ti.f32, p: vec3, s: ti.template()):
+        """Tangents of the Jacobian for the exact outline of a Gaussian, its level k^2 [sigma^2], the part of its extent
+        along the view that is kept, and k^2 g of that. In float64, like the determinant.
+
+        p: its mean [m] in the frame of view `v`; s: its covariance [m^2]; x, y: the tangents held within the picture
+
+        Seen from the eye, the ellipsoid of k sigma has the dual conic p p^T - k^2 Sigma: an ellipse exactly (Eberly
+        1999), which is that of EWA, A = J Sigma J^T, with e = cov(J r, z) / z and g = var(z) / z^2, corrected to
+
+            centre = J's - h e,   Sigma_2D = A / (1 - k^2 g) + h^2 / k^2 e e^T,   h = k^2 / (1 - k^2 g).
+
+        k is that of OUTLINE; of a mean beside the picture that of the ellipse that touches the picture's edge. There,
+        and near the eye, k^2 g would reach 1. Then z is flattened by f = sqrt(MAX_REACH / (k^2 g)), along the ray
+        through the nearest point of the picture, so that its edge is touched as before: with f = 0 it is EWA's splat
+        with held tangents.
+        """
+        forward = ti.cast(self.camera[v, 2].xyz, ti.f64)
+        g = forward.dot(times(s, forward)) / (p.z * p.z)
+        level = ti.cast(OUTLINE, ti.f64)
+        beyond_x, beyond_y = p.x / p.z - x, p.y / p.z - y
+        if x != ti.cast(p.x / p.z, ti.f32):
+            across = (self.camera[v, 0].xyz - x * forward) / p.z
+            level = ti.max(level, beyond_x * beyond_x / ti.max(across.dot(times(s, across)), 1e-20))
+        if y != ti.cast(p.y / p.z, ti.f32):
+            across = (self.camera[v, 1].xyz - y * forward) / p.z
+            level = ti.max(level, beyond_y * beyond_y / ti.max(across.dot(times(s, across)), 1e-20))
+        kept = ti.sqrt(MAX_REACH / ti.max(MAX_REACH, level * g))
+        return x + kept * beyond_x, y + kept * beyond_y, level, kept, level * g * kept * kept
 
     @ti.func
     def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32, drawn: ti.i32):
@@ -317,14 +356,29 @@ class Projection:
         bound_y = ti.sqrt(MAX_CUTOFF * (scale_y * scale_y * (1 + y * y) * size + DILATION))
         mask = ti.Vector([0, 0])
         if meets_picture(mx, my, bound_x, bound_y, self.grid):
-            forward = self.camera[v, 2].xyz
+            # In float64: a needle's determinant is the small difference of large numbers.
+            wide, forward = ti.cast(s, ti.f64), self.camera[v, 2].xyz
+            level, kept, reach = ti.f64(0.0), ti.f64(1.0), ti.f64(0.0)
+            if ti.static(not self.linear):
+                x, y, level, kept, reach = self._outline(v, x, y, ti.cast(p, ti.f64), wide)
             jx = scale_x * (self.camera[v, 0].xyz - x * forward)  # the rows of J W
             jy = scale_y * (self.camera[v, 1].xyz - y * forward)
-            # In float64: a needle's determinant is the small difference of large numbers.
-            wide, ax, ay = ti.cast(s, ti.f64), ti.cast(jx, ti.f64), ti.cast(jy, ti.f64)
-            sx = times(wide, ax)
-            sharp_xx, sharp_xy, sharp_yy = ax.dot(sx), ay.dot(sx), ay.dot(times(wide, ay))
+            ax, ay = ti.cast(jx, ti.f64), ti.cast(jy, ti.f64)
+            sx, sy = times(wide, ax), times(wide, ay)
+            sharp_xx, sharp_xy, sharp_yy = ax.dot(sx), ay.dot(sx), ay.dot(sy)
             sharp = sharp_xx * sharp_yy - sharp_xy * sharp_xy
+            if ti.static(not self.linear):
+                ex, ey = kept / p.z * forward.dot(sx), kept / p.z * forward.dot(sy)
+                rest = 1.0 - reach
+                bend, shift = level / (rest * rest), level / rest  # h^2 / k^2, h
+                sharp = sharp / (rest * rest) + bend / rest * (
+                    ex * ex * sharp_yy - 2.0 * ex * ey * sharp_xy + ey * ey * sharp_xx
+                )  # the determinant, without the difference of large numbers
+                sharp_xx = sharp_xx / rest + bend * ex * ex
+                sharp_xy = sharp_xy / rest + bend * ex * ey
+                sharp_yy = sharp_yy / rest + bend * ey * ey
+                mx -= ti.cast(shift * ex, ti.f32)
+                my -= ti.cast(shift * ey, ti.f32)
             exact = sharp + DILATION * (sharp_xx + sharp_yy) + DILATION * DILATION
             if ti.static(self.antialias):
                 opacity *= ti.cast(ti.sqrt(ti.max(0.0, sharp / exact)), ti.f32)
@@ -337,7 +391,11 @@ class Projection:
                 box = box_of(mean2d, conic)
                 if meets_picture(mx, my, box[0], box[1], self.grid):
                     if ti.static(self.with_slope):
-                        self.slope[v, g] = depth_slope(self.camera, v, p, s, DILATION, MAX_CUTOFF)
+                        slope = depth_slope(self.camera, v, p, s, DILATION, MAX_CUTOFF)
+                        self.slope[v, g] = slope
+                        if ti.static(not self.linear):  # at the centre that has been shifted
+                            off = ti.math.vec2(mx - scale_x * p.x - cx, my - scale_y * p.y - cy)
+                            mean2d.w = 1.0 / (1.0 / p.z + slope.dot(off))
                     if ti.static(self.compares):
                         if not drawn:
                             self._add_changed(v, mean2d, conic)

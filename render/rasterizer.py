@@ -32,6 +32,7 @@ class Rasterizer:
     segments  see Blend; not with sort "pixel"
     keeps  tiles of which nothing has changed since the last draw keep their pixels, if `out` is the same: on a CPU,
            where blending takes most of the time
+    linear  see Projection
     fast  for pictures without gradients: those of many pixels may have LARGE_GPU_TILEs; see Blend
     """
 
@@ -52,6 +53,7 @@ class Rasterizer:
         still: int = 0,
         keeps: bool = False,
         fast: bool = False,
+        linear: bool = False,
     ):
         many = fast and sort != "pixel" and segments * views * width * height >= MANY_PIXELS
         gpu_tile = LARGE_GPU_TILE if many else GPU_TILE
@@ -62,6 +64,7 @@ class Rasterizer:
         self.projection = Projection(
             splats, width, height, views,
             tile=tile, antialias=antialias, color=color, sort=sort, still=still, changed=self._changed,
+            linear=linear,
             color_reach=COLOR_REACH if fast else 0.0,
         )  # fmt: skip
         self._kept = -1  # Gaussians that are projected for the cameras and the size of now; see `Projection.project`

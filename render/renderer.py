@@ -85,6 +85,8 @@ class Renderer:
     Two views are the two eyes: they share one depth sort, by the mean of their depths, and one
     colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
 
+    linear: splats are EWA's, as in training, see `Projection`.
+
     still: number of Gaussians at the beginning of which only the visibility ever changes; while the cameras stay where
     they are too, they are not projected again.
 
@@ -106,6 +108,7 @@ class Renderer:
         sort: str = "z",
         buffer_size: int = BUFFER_SIZE,
         still: int = 0,
+        linear: bool = False,
     ):
         self.width, self.height, self.views = width, height, views
         if outputs != "float":
@@ -128,6 +131,7 @@ class Renderer:
             still=still,
             keeps=outputs != "float",
             fast=outputs != "float",
+            linear=linear,
         )
 
     def resize(self, width: int, height: int) -> None:

@@ -511,8 +511,9 @@ def numbers_of(
     No number is known better than to what would move markers by `left` [m], which noise does not explain. Where that is
     much of their motion against each other, friction of a thing that deforms is not seen; nor stiffness and damping,
     unless their motion is `explained` by a finer cage. A thing that falls rubs for the time of one impact, of which
-    integrators differ: its friction is not seen. Solvers take less inner friction than a material
-    has, down to none: as much of the damping as this may be is in its interval.
+    integrators differ: its friction is not seen. One that stands on a plane or slides is deformed by that contact as
+    much as by its stiffness, which is not seen then. Solvers take less inner friction than a material has, down to
+    none: as much of the damping as this may be is in its interval.
     """
     shift, spread = limit["shift"], limit["spread"]
     half = np.sqrt(fitted.half_widths(problem.blocks()) ** 2 + (0.5 * shift) ** 2 + spread**2)
@@ -525,7 +526,8 @@ def numbers_of(
     half = np.minimum(np.hypot(half, left / np.maximum(per_unit, 1e-9)), 99.0)  # of which exp() is still finite
     pixel = RIGID * problem.tracks.metres if problem.tracks.camera is not None else 0.0
     rigid = problem.inner < max(STILL * problem.noise, pixel)
-    rubbed = not problem.flies and (rigid or left**2 < UNEXPLAINED * problem.inner**2)
+    standing = problem.rubs and not problem.flies
+    rubbed = standing and (rigid or left**2 < UNEXPLAINED * problem.inner**2)
     found = []
     for k, name in enumerate(problem.names):
         middle = float(np.clip(fitted.theta[k] + shift[k], problem.prior.low[k], problem.prior.high[k]))
@@ -534,7 +536,7 @@ def numbers_of(
             seen, ends[1] = bool(rubbed and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
         else:
             within = ends[1] > problem.prior.low[k] and ends[2] < problem.prior.high[k]
-            seen = bool(explained and within and half[k] < NOT_VISIBLE)
+            seen = bool(explained and not standing and within and half[k] < NOT_VISIBLE)
             ends = np.exp(ends).tolist()
         found.append(Number(name, UNITS[name], *ends, seen))
     if not mass_known:  # gravity and what stands still do not show the mass: only E / rho is seen

@@ -41,7 +41,8 @@ class GradientStep:
         cut_out: bool = False,
     ):
         self.population, self.of_camera = population, of_camera
-        self.renderer = Renderer(population.splats, width, height, outputs="float", antialias=antialias, sort=sort)
+        how = {"outputs": "float", "antialias": antialias, "sort": sort, "linear": True}
+        self.renderer = Renderer(population.splats, width, height, **how)
         self.loss = ImageLoss(height, width, cut_out=cut_out)
         self.labelled = FloatImages(1, height, width) if population.labels is not None else None  # pictures of labels
         self.exposure = Exposure(height, width) if exposes else None

@@ -22,7 +22,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "view": "--help --arch --background --size --snapshot --sort --up",
     "render": "--help --antialias --arch --camera --out --sort --turntable",
     "prepare": "--help --arch --out --cache --static",
-    "convert": "--help",
+    "convert": "--help --decimate",
     "train": "--help --arch --out --steps --strategy --cap --degree --antialias --sort --reduce --test-every --report"
     " --masks --checkpoint-every --preview --seed --fast --exposure --refine-poses",
     "capture": "--help --arch --out --marks --masks --no-objects --scale-points --steps --reduce --cap --cell --seed",

@@ -1,6 +1,7 @@
 """`vrgs.py convert`: what it writes, what it says was lost, and what it refuses."""
 
 import re
+from argparse import ArgumentTypeError
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
 from commands.export import ConvertOptions, losses
 from commands.export import convert as run_convert
+from commands.options import share
 from core.errors import BadInput
 from core.rotation import multiply_quaternions
 from tests.support.samples import FIELDS, some_gaussians
@@ -97,6 +99,27 @@ def test_all_that_is_read_converts_to_all_that_is_written(tmp_path, capsys, kind
         read = read_gaussians(out)
         order = np.argsort(read.means[:, 0]), np.argsort(g.means[:, 0])
         np.testing.assert_allclose(read.means[order[0]], g.means[order[1]], atol=0.01)
+
+
+@pytest.mark.parametrize(("wanted", "left"), [(20.0, 20), (0.25, 15)])
+@pytest.mark.parametrize("kind", ["ply", "spz", "glb"])
+def test_fewer_gaussians_are_merged_and_said(tmp_path, capsys, ti_cpu, monkeypatch, wanted, left, kind):
+    monkeypatch.setattr("core.runtime.start_taichi", lambda: None)  # runs already
+    write_gaussians(tmp_path / "a.ply", some_gaussians(60, 1))
+    run_convert(ConvertOptions(input=tmp_path / "a.ply", output=tmp_path / f"b.{kind}", decimate=wanted))
+    assert f"{left} Gaussians" in (said := capsys.readouterr().out) and "merged from 60" in said
+    assert len(read_gaussians(tmp_path / f"b.{kind}")) == left
+    for few in (60.0, 61.0):
+        with pytest.raises(BadInput, match="holds 60 Gaussians, no more than are wanted"):
+            run_convert(ConvertOptions(input=tmp_path / "a.ply", output=tmp_path / "c.ply", decimate=few))
+    assert not (tmp_path / "c.ply").exists()
+
+
+@pytest.mark.parametrize("text", ["0", "-3", "1.5", "0%", "100%", "nan%", "half", "%", "1e9%", ""])
+def test_a_share_that_is_none_is_refused_in_one_line(text):
+    with pytest.raises(ArgumentTypeError, match="neither a positive whole number nor a percentage"):
+        share(text)
+    assert (share("7"), share("12.5%")) == (7.0, 0.125)
 
 
 def test_progress_of_long_work_goes_to_stderr(tmp_path, capsys, monkeypatch):

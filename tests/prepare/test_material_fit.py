@@ -16,7 +16,7 @@ from prepare.fit.fit_report import lines_of, page_of
 from prepare.fit.least_squares import Fitted, minimise
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
 from prepare.fit.marker_tracks import MarkerTracks, Rig, marker_weights
-from prepare.fit.material_fit import MaterialProblem, fit_material, scan_youngs
+from prepare.fit.material_fit import MaterialProblem, fit_material, numbers_of, scan_youngs
 from prepare.progress import no_progress
 from sim.rollouts import Candidate, Rollouts
 
@@ -277,6 +277,23 @@ def test_friction_shows_in_pictures_of_what_slides_as_good_as_rigid_but_not_of_w
     friction = fit_material(problem, no_progress, lambda name, make: make(), mass_known=True).numbers[2]
     assert problem.flies == (above > 0) and friction.seen == seen
     assert not seen or (friction.low < 0.3 < friction.high and abs(friction.value - 0.3) < 0.05)
+
+
+@pytest.mark.parametrize("above", [0.0, 0.1])
+def test_stiffness_shows_in_what_falls_but_not_in_what_stands_on_a_plane(above):
+    """However sharp the minimum is: stiffness and damping of what is pressed on a plane were off by factors."""
+    rest, (x, tets, _) = np.random.default_rng(0).uniform(0, 1, (12, 3)) * SIZE, box_mesh(SIZE, (8, 1, 1))
+    planes = np.array([[0.0, 1.0, 0.0, -above]])
+    points = np.tile(rest, (FRAMES, 1, 1)) + 2e-4 * np.random.default_rng(1).normal(size=(FRAMES, 12, 3))
+    tracks = MarkerTracks(np.arange(FRAMES) / 60, points, rest, None, np.inf, None, planes, GRAVITY)
+    problem = MaterialProblem(tracks, x, tets, ASSET, sliding, "clip")
+    n = len(problem.prior.centre)
+    jacobian = 1e3 * np.random.default_rng(2).normal(size=(problem.tracks.points.size, n))
+    residuals = np.random.default_rng(3).normal(size=len(jacobian))
+    sharp = Fitted(problem.prior.centre, residuals, 1.0, jacobian, jacobian.T @ jacobian, 1)
+    limit = {"shift": np.zeros(n), "spread": np.zeros(n)}
+    young = numbers_of(problem, sharp, limit, True, 1e-4, True)[0]
+    assert problem.flies == (above > 0) and young.seen == problem.flies
 
 
 def test_no_number_is_known_better_than_to_what_the_material_leaves_unexplained(monkeypatch):

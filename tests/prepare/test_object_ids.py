@@ -138,7 +138,9 @@ def test_the_background_is_learned_around_objects_that_stay_as_they_are(ti_cpu):
         squares = []
         for p, m in zip(photographs, masks, strict=True):
             seam = binary_dilation(m == 1, iterations=4) & (m != 1)
-            squares.append((reference.render(gaussians, p.camera)[0].clip(0, 1) - p.pixels / 255)[seam] ** 2)
+            squares.append(
+                (reference.render(gaussians, p.camera, linear=True)[0].clip(0, 1) - p.pixels / 255)[seam] ** 2
+            )
         return float(np.concatenate(squares).mean())
 
     assert error(found) < 0.72 * error(g)  # 0.79 if it learns from the green

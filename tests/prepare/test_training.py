@@ -253,7 +253,9 @@ def cut_out_photographs() -> list[Photograph]:
     """The painted Gaussians on transparent ground."""
     found = []
     for p in photographs():
-        alpha = (255 * reference.render(painted_gaussians(), p.camera)[1].clip(0, 1)).round().astype(np.uint8)
+        alpha = (
+            (255 * reference.render(painted_gaussians(), p.camera, linear=True)[1].clip(0, 1)).round().astype(np.uint8)
+        )
         found.append(p._replace(alpha=alpha))
     return found
 

@@ -32,7 +32,8 @@ class Differentiable:
         self.splats = Splats(Gaussians.of(*rows, np.zeros(COUNT), np.zeros((COUNT, 16, 3))))
         self.splats.sh_range = (0, self.splats.capacity)
         self.parameters = Parameters(self.splats)
-        self.renderer = Renderer(self.splats, WIDTH, HEIGHT, outputs="float", antialias=antialias, sort=sort)
+        how = {"outputs": "float", "antialias": antialias, "sort": sort, "linear": True}
+        self.renderer = Renderer(self.splats, WIDTH, HEIGHT, **how)
         self.blend = BlendGradients(self.renderer.rasterizer.tile_pass.bins, self.renderer.sink)
         self.gradients = ProjectionGradients(self.blend)
         n = self.splats.capacity
@@ -148,11 +149,11 @@ def test_gradients_equal_finite_differences(differentiable, antialias):
     camera = perspective(SIZE, SIZE, 0.8, look_at((0.3, 0.4, -2.6), (0, 0, 0)))
     weights = rng.normal(size=(SIZE, SIZE, 3)), rng.normal(size=(SIZE, SIZE)), 0.3 * rng.normal(size=(SIZE, SIZE))
     picture, gradients, by_camera = differentiable[antialias](g, camera, *weights)
-    for image, truth in zip(picture, reference.render(g, camera, antialias=antialias), strict=True):
+    for image, truth in zip(picture, reference.render(g, camera, antialias=antialias, linear=True), strict=True):
         np.testing.assert_allclose(image, truth, atol=2e-5)
 
     def loss(g, camera) -> float:
-        images = reference.render(g, camera, antialias=antialias)
+        images = reference.render(g, camera, antialias=antialias, linear=True)
         return sum(float((w * image).sum()) for w, image in zip(weights, images, strict=True))
 
     for name, gradient in zip(NAMES, gradients, strict=True):
@@ -196,12 +197,12 @@ def test_gradients_of_a_second_picture_of_other_numbers_equal_finite_differences
     )
 
     def drawn(g: Gaussians, labels: np.ndarray) -> np.ndarray:
-        return reference.render(replace(g, sh=((labels - 0.5) / C0)[:, None]), camera)[0]
+        return reference.render(replace(g, sh=((labels - 0.5) / C0)[:, None]), camera, linear=True)[0]
 
     def loss(g: Gaussians, labels: np.ndarray) -> float:
-        return float((first * reference.render(g, camera)[0]).sum() + (second * drawn(g, labels)).sum())
+        return float((first * reference.render(g, camera, linear=True)[0]).sum() + (second * drawn(g, labels)).sum())
 
-    np.testing.assert_allclose(picture[0], reference.render(g, camera)[0], atol=2e-5)
+    np.testing.assert_allclose(picture[0], reference.render(g, camera, linear=True)[0], atol=2e-5)
     np.testing.assert_allclose(labelled, drawn(g, labels), atol=2e-5)
     assert_near(by_labels, differences(lambda v: loss(g, v), labels), 1e-3, "labels")
     for name, gradient in zip(NAMES[:4], gradients[:4], strict=True):

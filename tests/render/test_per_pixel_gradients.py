@@ -37,7 +37,7 @@ def test_gradients_equal_finite_differences_of_a_twin_that_sorts_each_pixel(pixe
     g = Gaussians(means, *shapes, logits, sh, np.zeros(n, np.uint16))
     camera = perspective(SIZE, SIZE, 0.4, look_at((0.3, 0.4, -2.6), (0, 0, 0)))
     weights = [rng.normal(size=(SIZE, SIZE, *channels)) for channels in ((3,), (), ())]
-    truth = sorted_by_pixel(g, camera)
+    truth = sorted_by_pixel(g, camera, linear=True)
     # where two discs cross, a pixel may fall on either side in float32
     near = np.abs(pixel(g, camera, *weights)[0][0] - truth[0]).max(axis=-1) < 1e-4
     assert near.mean() > 0.97
@@ -47,7 +47,10 @@ def test_gradients_equal_finite_differences_of_a_twin_that_sorts_each_pixel(pixe
     by_distance = radial(g, camera, *weights)[1]
 
     def loss(g: Gaussians) -> float:
-        return sum(float((w * image).sum()) for w, image in zip(weights, sorted_by_pixel(g, camera)[:3], strict=True))
+        return sum(
+            float((w * image).sum())
+            for w, image in zip(weights, sorted_by_pixel(g, camera, linear=True)[:3], strict=True)
+        )
 
     for name, gradient, other in zip(NAMES[:4], gradients[:4], by_distance[:4], strict=True):
         found = differences(lambda v, name=name: loss(replace(g, **{name: v})), getattr(g, name))
@@ -76,9 +79,9 @@ def test_what_the_buffer_cannot_sort_has_the_gradients_of_the_picture_that_is_dr
     """
     g = crowd(250).with_sh_degree(3)
     g = replace(g, logit_opacities=g.logit_opacities - 2.5)
-    assert sorted_by_pixel(g, EYE)[3].max() > 2 * BUFFER_SIZE
+    assert sorted_by_pixel(g, EYE, linear=True)[3].max() > 2 * BUFFER_SIZE
     weight = np.random.default_rng(5).normal(size=(EYE.height, EYE.width, 3))
-    uv, sigma, opacity, _, _ = reference.project(g.means, reference.covariances(g), g.opacities, EYE)
+    uv, sigma, opacity, _, _ = reference.project(g.means, reference.covariances(g), g.opacities, EYE, linear=True)
     v, u = np.mgrid[: EYE.height, : EYE.width] + 0.5
 
     def loss(weight: np.ndarray, name: str, values: np.ndarray):

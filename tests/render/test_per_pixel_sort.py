@@ -34,11 +34,14 @@ def rays(camera: Camera) -> np.ndarray:
     return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
 
 
-def sorted_by_pixel(g: Gaussians, camera: Camera):
+def sorted_by_pixel(g: Gaussians, camera: Camera, *, linear: bool = False):
     """rgb (H, W, 3), alpha (H, W), depth (H, W), and how many splats meet each pixel (H, W)."""
     uv, sigma, opacity, z, kept = reference.project(
-        g.means.astype(np.float64), reference.covariances(g), g.opacities, camera
+        g.means.astype(np.float64), reference.covariances(g), g.opacities, camera, linear=linear
     )
+    if not linear:  # that of the plane at the outline's centre
+        at = (uv - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+        z = 1 / (np.column_stack([at, np.ones(len(g))]) * planes(g, camera)).sum(1)
     offset = (rays(camera)[..., :2] * [camera.fx, camera.fy] + [camera.cx, camera.cy])[..., None, :] - uv
     power = np.einsum("hwni,nij,hwnj->hwn", offset, np.linalg.inv(sigma), offset)
     alpha = np.where(kept, np.minimum(0.999, opacity * np.exp(-0.5 * power)), 0)

@@ -22,8 +22,9 @@ PICTURES = {  # name of the reference: file, antialiased
 
 @pytest.fixture(scope="module")
 def drawings(ti_cpu):
-    """A drawing for all files, plain and antialiased."""
-    return {antialias: Drawing(62_500, 1, 384, degree=3, antialias=antialias) for antialias in (False, True)}
+    """A drawing for all files by gsplat's rules, plain and antialiased."""
+    how = {"degree": 3, "linear": True}
+    return {antialias: Drawing(62_500, 1, 384, antialias=antialias, **how) for antialias in (False, True)}
 
 
 @pytest.mark.shared

@@ -42,7 +42,7 @@ def cameras() -> list[Camera]:
 def photographs() -> list[Photograph]:
     """Pictures of the painted Gaussians on black, from all cameras."""
     g = painted_gaussians()
-    pictures = [(reference.render(g, c)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
+    pictures = [(reference.render(g, c, linear=True)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
     return [Photograph(p, np.ones(p.shape[:2], bool), c) for p, c in zip(pictures, cameras(), strict=True)]
 
 
@@ -80,4 +80,4 @@ def masks() -> list[np.ndarray]:
     """Ids (H, W) uint8 of the objects that the photographs show."""
     g = painted_gaussians()
     labelled = replace(g, sh=(label_colors(2)[painted_objects()][:, None] - 0.5) / C0)
-    return [nearest_label(reference.render(labelled, camera)[0], 2) for camera in cameras()]
+    return [nearest_label(reference.render(labelled, camera, linear=True)[0], 2) for camera in cameras()]

@@ -13,7 +13,6 @@ from core.morton import morton_order
 
 REACH = 16  # neighbours along the Z-order curve, on either side, of which one is the partner
 SHARE = 0.5  # of a round's pairs that are merged, the cheapest: the others may find better partners later
-THINNEST = 1e-4  # of a pair's variances, added to them: float32 resolves the determinants of thin shadows then
 MOST_OPAQUE = 0.999  # finite as a logit
 LARGEST = 1e12  # [m^2] of variance, beyond which nothing is merged: float32 has no room for determinants
 TINY = 1e-30  # [m^2] keeps quotients finite
@@ -160,9 +159,9 @@ class Merging:
         ca = oa * vec4(0.5 + harmonics.C0 * self.sh[a, 0], 1.0)
         cb = ob * vec4(0.5 + harmonics.C0 * self.sh[b, 0], 1.0)
         base = 0.5 + harmonics.C0 * (self.sh[a, 0] + t * (self.sh[b, 0] - self.sh[a, 0]))
-        cp, least, error = op * vec4(base, 1.0), THINNEST * (sp[0] + sp[3] + sp[5]), 0.0
+        cp, error = op * vec4(base, 1.0), 0.0
         for x, y in ti.static(((0, 1), (1, 2), (0, 2))):
-            A, B, P = shadow(sa, x, y, least), shadow(sb, x, y, least), shadow(sp, x, y, least)
+            A, B, P = shadow(sa, x, y), shadow(sb, x, y), shadow(sp, x, y)
             D = vec2(d[x], d[y])
             error += ca.dot(ca) * overlap(A, A, 0 * D) + cb.dot(cb) * overlap(B, B, 0 * D)
             error += cp.dot(cp) * overlap(P, P, 0 * D) + 2 * ca.dot(cb) * overlap(A, B, D)
@@ -181,10 +180,10 @@ def shadow_area(s):
 
 
 @ti.func
-def shadow(s, x: ti.template(), y: ti.template(), least):
-    """Covariance of a Gaussian's shadow on the axes x < y as (xx, xy, yy, determinant), `least` [m^2] wider."""
+def shadow(s, x: ti.template(), y: ti.template()):
+    """Covariance of a Gaussian's shadow on the axes x < y as (xx, xy, yy, determinant)."""
     at = ti.static(((0, 1, 2), (1, 3, 4), (2, 4, 5)))
-    xx, xy, yy = s[at[x][x]] + least, s[at[x][y]], s[at[y][y]] + least
+    xx, xy, yy = s[at[x][x]], s[at[x][y]], s[at[y][y]]
     return vec4(xx, xy, yy, ti.max(xx * yy - xy * xy, 0.0))
 
 

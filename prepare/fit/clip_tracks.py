@@ -162,8 +162,8 @@ def surface_points(made: tuple, camera: Camera) -> np.ndarray:
 def followed(
     made: tuple, camera: Camera, picture: np.ndarray, mask: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where a picture with a mask shows points (N, 3) of a drawn body, (N, 2) [px], by the optical flow from the drawn
-    one; and which are seen, (N,): those on the drawn surface, from where the flow leads into the mask, and back."""
+    """Places (N, 2) [px] in a picture with a mask of points (N, 3) of a drawn body, by the optical flow from the drawn
+    picture; and a mask (N,) of those seen: on the drawn surface, from which the flow leads into the mask, and back."""
     ours, theirs = alike(made, picture, mask)
     u, v, depth = camera.projected(points)
     drawn = np.column_stack([u, v])

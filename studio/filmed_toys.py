@@ -40,10 +40,8 @@ LENS_BLUR, NOISE = 0.6, 2.0 / 255  # [px], and of a channel 0..1
 class FilmedToy:
     """A clip: a shipped asset, what it is made of, and how it moves.
 
-    held     share of its height, from the top, that stands still; 0: it is free
-    stands   whether it stands on the floor, free, and is pushed there
-    push     [m/s] in x, y, z at the start of the free end, of the top of what stands, or of all of a free body
-    spin     [rad/s] of a free body
+    held     share of its height, from the top, that stands still, from the bottom if negative; 0: it is free
+    push     [m/s] in x, y, z of the free end at the start, or of all of a free body;   spin  [rad/s] of a free body
     bend     [m] by which a free body is bent at the start
     tilt     [degrees] of the board that it slides down, 0 of the floor; None: there is none
     drop     [m] over that from which it falls;   lean  [degrees] to the side
@@ -57,7 +55,6 @@ class FilmedToy:
     damping: float
     friction: float = 0.5
     held: float = 0.0
-    stands: bool = False
     push: tuple[float, float, float] = (0.0, 0.0, 0.0)
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bend: float = 0.0
@@ -85,20 +82,18 @@ CLIPS = {
     "duck_hung": FilmedToy("toy_duck", 3e5, 8.0, held=0.3, push=(3.0, 0.0, 1.0), turn=40.0, fps=120.0, seconds=0.5),
     "dinosaur_hung": FilmedToy("toy_dinosaur", 1e6, 10.0, held=0.25, push=(4.0, 0, 1.0), turn=70, fps=240, seconds=0.3),
     "jelly_hung": FilmedToy("jelly_bear", 1.2e4, 5.0, held=0.25, push=(0.6, 0.0, 0.2), turn=10.0),
-    "ladybird_pressed": FilmedToy("toy_ladybird", 4e3, 3.0, stands=True, tilt=0.0, push=(0.3, -0.5, 0.0), turn=20.0),
-    "octopus_pressed": FilmedToy("toy_octopus", 2e4, 5.0, stands=True, tilt=0.0, push=(0.8, -0.8, 0.2), turn=10.0),
+    "ladybird_pressed": FilmedToy("toy_ladybird", 4e3, 3.0, held=-0.2, push=(0.3, -0.7, 0.0), turn=20.0),
+    "octopus_pressed": FilmedToy("toy_octopus", 2e4, 5.0, held=-0.2, push=(0.8, -1.2, 0.2), turn=10.0),
     "frog_pressed": FilmedToy(
-        "toy_frog", 2e4, 2.0, stands=True, tilt=0.0, push=(0.8, -1.0, 0.3), turn=-15.0, fps=60.0, seconds=0.7
+        "toy_frog", 2e4, 2.0, held=-0.25, push=(3.0, -2.0, 0.5), turn=-15.0, fps=60.0, seconds=0.7
     ),
     "parcel_sliding": FilmedToy("box_parcel", 4e4, 20.0, friction=0.25, tilt=25.0, seconds=0.8),
     "parcel_slower": FilmedToy("box_parcel", 1e5, 10.0, friction=0.4, tilt=30.0, seconds=0.9),
     "crate_sliding": FilmedToy("box_crate", 1e6, 10.0, friction=0.1, tilt=12.0, seconds=0.8),
     "tin_sliding": FilmedToy("box_tin", 1e6, 10.0, friction=0.55, tilt=38.0, seconds=0.8),
-    "cat_dropped": FilmedToy("toy_cat", 1.5e4, 6.0, tilt=0.0, drop=0.1, lean=10.0, fps=120.0, seconds=0.4),
-    "jelly_dropped": FilmedToy("jelly_bear", 1.2e4, 5.0, tilt=0.0, drop=0.05, lean=10.0, fps=120.0, seconds=0.3),
-    "teddy_dropped": FilmedToy(
-        "toy_teddy", 3e4, 4.0, tilt=0.0, drop=0.1, lean=-12.0, turn=20.0, fps=120.0, seconds=0.4
-    ),
+    "cat_dropped": FilmedToy("toy_cat", 1.5e4, 6.0, tilt=0.0, drop=0.1, lean=10.0, seconds=0.7),
+    "jelly_dropped": FilmedToy("jelly_bear", 1.2e4, 5.0, tilt=0.0, drop=0.05, lean=10.0, seconds=0.6),
+    "teddy_dropped": FilmedToy("toy_teddy", 3e4, 4.0, tilt=0.0, drop=0.1, lean=-12.0, turn=20.0, seconds=0.7),
     "cat_thrown": FilmedToy("toy_cat", 1.5e4, 6.0, push=(0.6, 1.5, 0), spin=(0, 0, -1.5), bend=0.015, seconds=0.5),
 }
 
@@ -162,8 +157,8 @@ def motion_of(clip: FilmedToy, asset: Asset, material: Material, times: np.ndarr
     for _ in range(CUTS):
         x, tets, _ = subdivided(x, tets)
     bottom, height = x[:, 1].min(), np.ptp(x[:, 1])
-    away = (x[:, 1] - bottom if clip.stands else bottom + height - x[:, 1]) / height  # from the end that stands still
-    held = np.flatnonzero(away <= clip.held) if clip.held else np.zeros(0, np.int64)
+    away = (bottom + height - x[:, 1] if clip.held > 0 else x[:, 1] - bottom) / height  # from the end that is held
+    held = np.flatnonzero(away <= abs(clip.held)) if clip.held else np.zeros(0, np.int64)
     planes = np.zeros((0, 4))
     c, s = np.cos(np.radians(clip.turn)), np.sin(np.radians(clip.turn))
     turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
@@ -174,7 +169,7 @@ def motion_of(clip: FilmedToy, asset: Asset, material: Material, times: np.ndarr
         planes = np.array([[np.sin(a), np.cos(a), 0.0, 0.0]])
         start += (clip.drop - (start @ planes[0, :3]).min()) * planes[0, :3]
     v = np.tile(np.asarray(clip.push, float), (len(x), 1))
-    if clip.held or clip.stands:
+    if clip.held:
         v *= away[:, None] ** 1.5
     v += np.cross(clip.spin, start - start.mean(0))
     start += clip.bend * np.cos(2 * np.pi * (x[:, 1:2] - bottom) / height) * [1.0, 0.0, 0.0]

@@ -19,7 +19,6 @@ HELD = "held"  # name of the marks around what stands still
 FEWEST_PIXELS = 60  # of the thing in a picture
 ALIKE = 0.6  # share of its colours that a mask must have in common with the marked one: else it is of something else
 AROUND_STROKES = 1.0  # of a stroke's extent: the thing may reach as far beyond it
-FARTHEST = 0.5  # of its size: the way of a thing from a picture to the next
 WARPED_BLUR = 2.0  # [px] of a mask that the flow has carried
 
 
@@ -123,7 +122,7 @@ def clip_masks(clip: Clip, marks: dict[int, ViewMarks], progress=lambda done: No
     for k in sorted(range(count), key=lambda k: abs(nearest[k] - k)):
         if k not in found:
             before = k - int(np.sign(k - nearest[k]))
-            found[k] = carried_mask(clip.pictures[k], found[before], flow_back(grey[k], grey[before], found[before]))
+            found[k] = carried_mask(clip.pictures[k], found[before], flow_between(grey[k], grey[before]))
         alike = cv2.compareHist(colours[nearest[k]], colours_of(clip.pictures[k], found[k]), cv2.HISTCMP_INTERSECT)
         if found[k].sum() < FEWEST_PIXELS or alike < ALIKE:
             what = "its strokes give no mask" if k in marks else "the thing leaves the picture, or its mask is lost"
@@ -143,18 +142,6 @@ def colours_of(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
 def flow_between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Optical flow of grey pictures (H, W) uint8 from `one` to `other`, (H, W, 2) [px]."""
     return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(one, other, None)
-
-
-def flow_back(now: np.ndarray, before: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Optical flow, (H, W, 2) [px], from a grey picture (H, W) uint8 to that before it, in which the thing has a mask
-    (H, W) bool: from where the thing as a whole looks most alike, as flow is not found over long ways."""
-    x, y, w, h = cv2.boundingRect(mask.astype(np.uint8))
-    reach, part = int(FARTHEST * max(w, h)), np.s_[y : y + h, x : x + w]
-    wide = cv2.copyMakeBorder(now, *[reach] * 4, cv2.BORDER_REPLICATE)[y : y + h + 2 * reach, x : x + w + 2 * reach]
-    unlike = cv2.matchTemplate(wide, before[part], cv2.TM_SQDIFF, mask=mask[part].astype(np.uint8))
-    way = np.subtract(cv2.minMaxLoc(unlike)[2], reach).astype(np.float32)
-    moved = cv2.warpAffine(before, np.column_stack([np.eye(2), way]), now.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-    return flow_between(now, moved) - way
 
 
 def warped(picture: np.ndarray, flow: np.ndarray) -> np.ndarray:

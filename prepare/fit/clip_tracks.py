@@ -15,7 +15,6 @@ from core.camera import Camera, directions_around
 from core.errors import BadInput
 from prepare.fit.clip_masks import Clip, flow_between
 from prepare.fit.marker_tracks import (
-    APART,
     OFF_THE_CAGE,
     MarkerTracks,
     Rig,
@@ -36,12 +35,15 @@ STEEP = 6.0  # [px] in depth over two pixels, beyond which a picture of a surfac
 POINTS, FEWEST_POINTS = 400, 20  # of the surface that a flow moves
 SHAPED = 0.6  # least overlap (intersection over union) of the body and the mask
 FLAT, FOOT = 12.0, 0.05  # [degrees] of a side to a plane on which it lies, and its least share of the body's hull
-SPACING = 1 / 24  # of the body's size, between markers
-OPAQUE = 0.0  # least logit of a Gaussian's opacity that is a marker
-ON_SURFACE = 3.0  # [px] in depth: a marker that is farther from what is drawn there is hidden
-BACK_AND_FORTH = 0.7  # [px] by which optical flow to a picture and back may be off
-TURNED = 3  # rounds of finding the pose in a picture from that in the one before
-FOLLOWED = 0.2  # least share of the pictures in which a marker is seen, and of the body's markers that are seen
+MARKERS = 150
+CORNER = 0.003  # of the clearest corner's strength: fainter ones slide along edges
+EDGE = 3  # [px] that markers keep from the mask's border
+WINDOW = (17, 17)  # [px] of Lucas and Kanade
+BACK_AND_FORTH = 0.7  # [px] by which a marker, tracked to the next picture and back, may be off
+NEAREST = 7  # markers whose median motion is that of the surface there
+LONE = 3.0  # [px] beyond that: what is tracked there is not the surface
+FOLLOWED = 0.2  # least share of the markers, over all pictures, that is seen
+MISSED = 2  # pictures in which a marker may be missed, one after the other
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ def from_body(camera: Camera, pose: np.ndarray) -> Camera:
 
 
 def found_pose(draw: Draw, x: np.ndarray, camera: Camera, clip: Clip, mask: np.ndarray, progress) -> np.ndarray:
-    """world_from_asset (4, 4) of the rigid body, of points x (V, 3) at rest, in the clip's first picture.
+    """world_from_asset (4, 4) of the rigid body, of vertices x (V, 3) at rest, in the clip's first picture.
 
     Raises BadInput where it looks like the mask in no pose.
     """
@@ -137,10 +139,9 @@ def found_pose(draw: Draw, x: np.ndarray, camera: Camera, clip: Clip, mask: np.n
         for _ in range(ROUNDS):
             made = draw(from_body(near, pose))
             best = max(best, (likeness(made, picture, fine), pose), key=lambda b: b[0])
-            points = surface_points(made, from_body(near, pose))
+            points, seen = followed(made, from_body(near, pose), picture, fine)
             if len(points) < FEWEST_POINTS:
                 break
-            seen = followed(made, from_body(near, pose), picture, fine, points)[0]
             pose = rigid_pose_seen(near, points, seen, pose)
         progress(0.7 + 0.3 * (k + 1) / REFINED)
     (_, overlap), pose = best
@@ -152,27 +153,13 @@ def found_pose(draw: Draw, x: np.ndarray, camera: Camera, clip: Clip, mask: np.n
     return pose
 
 
-def surface_points(made: tuple, camera: Camera) -> np.ndarray:
-    """Some points (N, 3) of the surface of a drawn body, in the camera's world."""
+def followed(made: tuple, camera: Camera, picture: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) of the surface of a drawn body, in the camera's world, and where the picture shows them (N, 2)."""
+    flow = flow_between(*alike(made, picture, mask))
     y, x = np.nonzero(surface(made, camera))
     step = max(1, len(y) // POINTS)
-    return camera.points_at(made[2], x[::step], y[::step])
-
-
-def followed(
-    made: tuple, camera: Camera, picture: np.ndarray, mask: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Places (N, 2) [px] in a picture with a mask of points (N, 3) of a drawn body, by the optical flow from the drawn
-    picture; and a mask (N,) of those seen: on the drawn surface, from which the flow leads into the mask, and back."""
-    ours, theirs = alike(made, picture, mask)
-    u, v, depth = camera.projected(points)
-    drawn = np.column_stack([u, v])
-    there = drawn + sampled(flow_between(ours, theirs), drawn)
-    off = np.linalg.norm(there + sampled(flow_between(theirs, ours), there) - drawn, axis=1)
-    on = sampled(surface(made, camera).astype(np.float32), drawn) > 0.5
-    on &= sampled(mask.astype(np.float32), there) > 0.5
-    near = np.abs(sampled(made[2].astype(np.float32), drawn) - depth) < ON_SURFACE * depth / camera.fx
-    return there, on & near & (off < BACK_AND_FORTH)
+    y, x = y[::step], x[::step]
+    return camera.points_at(made[2], x, y), np.column_stack([x + 0.5, y + 0.5]) + flow[y, x]
 
 
 def surface(made: tuple, camera: Camera) -> np.ndarray:
@@ -195,43 +182,52 @@ def alike(made: tuple, picture: np.ndarray, mask: np.ndarray) -> tuple[np.ndarra
     return grey[0], grey[1]
 
 
-def points_of(asset: Asset) -> np.ndarray:
-    """Points (N, 3) all over the body at rest: an opaque Gaussian in each cell of a grid that has one."""
-    points = np.asarray(asset.gaussians.means, np.float64)[np.ravel(asset.gaussians.logit_opacities) > OPAQUE]
-    size = np.ptp(points, axis=0).max()
-    return points[np.unique(np.floor(points / (SPACING * size)), axis=0, return_index=True)[1]]
-
-
-def tracked(draw: Draw, shot: Shot, pose: np.ndarray, rest: np.ndarray, progress=lambda done: None) -> np.ndarray:
-    """Pixels (F, M, 2) of markers, at `rest` (M, 3) on the asset, in a clip that begins with the body in a pose; NaN
-    where one is not seen.
-
-    In each picture the rigid body is drawn in the nearest pose, begun with that of the picture before, moved as the
-    mask is. Optical flow from there shows how the body deforms, and no error grows over time.
-    """
-    clip, camera = shot.clip, shot.camera
-    found = np.full((len(clip.pictures), len(rest), 2), np.nan)
-    for k, (pixels, mask) in enumerate(zip(clip.pictures, shot.masks, strict=True)):
-        picture, place = pixels.astype(np.float32) / 255, posed(pose, rest).mean(0)
-        way = [np.mean(np.nonzero(m), axis=1)[::-1] for m in (shot.masks[max(k - 1, 0)], mask)]
-        depth = camera.projected(place[None])[2]
-        step = np.append((way[1] - way[0]) / [camera.fx, camera.fy] * depth, 0.0) @ camera.world_to_camera[:3, :3]
-        pose = pose.copy()
-        pose[:3, 3] += step
-        for turn in range(TURNED + 1):
-            near = from_body(camera, pose)
-            there, seen = followed(draw(near), near, picture, mask, rest)
-            if turn == TURNED or seen.sum() < FEWEST_POINTS:
-                break
-            pose = rigid_pose_seen(camera, rest[seen], there[seen], pose)
-        found[k, seen] = there[seen]
-        progress((k + 1) / len(found))
+def tracked(clip: Clip, masks: np.ndarray, progress=lambda done: None) -> np.ndarray:
+    """Pixels (F, M, 2) of markers on the thing, NaN once one is lost: corners of the first picture, which optical flow
+    carries from each picture to the next. Lucas and Kanade's method makes a place more exact; where it does not come
+    back to where it began, as on plain surfaces, that of the dense flow is taken, if this does."""
+    grey = [cv2.cvtColor(p, cv2.COLOR_RGB2GRAY) for p in clip.pictures]
+    inner = cv2.erode(np.pad(masks[0].astype(np.uint8), 1), np.ones((2 * EDGE + 1,) * 2, np.uint8))[1:-1, 1:-1]
+    apart = max(3.0, 0.7 * np.sqrt(inner.sum() / MARKERS))
+    corners = cv2.goodFeaturesToTrack(grey[0], MARKERS, CORNER, apart, mask=inner, blockSize=5)
+    if corners is None or len(corners) < 8:
+        raise BadInput(f"{clip.where}: nothing on the thing can be followed: it is too small or plain in this clip")
+    now = corners.reshape(-1, 2)
+    found = np.full((len(grey), len(now), 2), np.nan)
+    found[0] = now + 0.5
+    alive, missed = np.ones(len(now), bool), np.zeros(len(now), int)
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
+    how = {"winSize": WINDOW, "maxLevel": 1, "criteria": stop, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+    for k in range(1, len(grey)):
+        there = now + sampled(flow_between(grey[k - 1], grey[k]), now)
+        back = there + sampled(flow_between(grey[k], grey[k - 1]), there)
+        good = np.linalg.norm(back - now, axis=1) < BACK_AND_FORTH
+        then = cv2.calcOpticalFlowPyrLK(grey[k - 1], grey[k], now, there.copy(), **how)[0]
+        back = cv2.calcOpticalFlowPyrLK(grey[k], grey[k - 1], then, now + then - there, **how)[0]
+        exact = (np.linalg.norm(back - now, axis=1) < BACK_AND_FORTH) & (np.abs(then - there).max(1) < LONE)
+        then = np.where(exact[:, None], then, there)
+        good = alive & (good | exact) & (sampled(masks[k].astype(np.float32), then) > 0.5)
+        usual = usual_motion(now, then - now, good)
+        good &= np.linalg.norm(then - now - usual, axis=1) < LONE
+        now = np.where(good[:, None], then, now + usual)  # one that is not seen goes as those beside it
+        missed = np.where(good, 0, missed + 1)
+        alive &= missed <= MISSED
+        found[k, good] = now[good] + 0.5
+        progress(k / len(grey))
     return found
 
 
 def sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Values (N, ...) of a picture (H, W, ...) float32 at places (N, 2) [px]."""
-    return cv2.remap(picture, places.astype(np.float32)[:, None] - 0.5, None, cv2.INTER_LINEAR, borderValue=0)[:, 0]
+    """Values (M, ...) of a picture (H, W, ...) float32 at places (M, 2) [px] from the middle of its first pixel."""
+    return cv2.remap(picture, places.astype(np.float32)[:, None], None, cv2.INTER_LINEAR, borderValue=0)[:, 0]
+
+
+def usual_motion(places: np.ndarray, moved: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Motion (M, 2) [px] of the surface at places (M, 2): the median of that of the nearest good markers."""
+    if not good.any():
+        return np.zeros_like(moved)
+    away = np.linalg.norm(places[:, None] - places[good][None], axis=2)
+    return np.median(moved[good][np.argsort(away, axis=1)[:, :NEAREST]], axis=1)
 
 
 def common_pose(draw: Draw, x: np.ndarray, shots: Sequence[Shot], progress) -> np.ndarray:
@@ -261,9 +257,7 @@ def common_pose(draw: Draw, x: np.ndarray, shots: Sequence[Shot], progress) -> n
     pose = best[3]
     for _ in range(ROUNDS):
         made = tried(pose)[2]
-        views = [from_body(c, pose) for c in near]
-        found = [surface_points(m, c) for m, c in zip(made, views, strict=True)]
-        found = [(p, followed(*q, p)[0]) for p, *q in zip(found, made, views, pictures, masks, strict=True)]
+        found = [followed(m, from_body(c, pose), *p) for m, c, *p in zip(made, near, pictures, masks, strict=True)]
         of = np.repeat(np.arange(len(near)), [len(points) for points, _ in found])
         if len(of) < FEWEST_POINTS:
             break
@@ -285,7 +279,7 @@ def clip_tracks(draw: Draw, asset: Asset, shots: Sequence[Shot], blank: MarkerTr
     Raises BadInput where the thing is not found, or not followed.
     """
     x = np.asarray(asset.cage.vertices, np.float64)
-    pose = common_pose(draw, points_of(asset), shots, lambda done: progress("pose", 0.8 * done))
+    pose = common_pose(draw, x, shots, lambda done: progress("pose", 0.8 * done))
     if len(blank.planes):
         pose = resting(pose, x, shots[0].camera if len(shots) == 1 else None, blank.planes)
     progress("pose", 1.0)
@@ -322,18 +316,27 @@ def attached(draw: Draw, asset: Asset, shot: Shot, pose: np.ndarray, progress) -
 
     Raises BadInput where the surface is not followed.
     """
-    x, rest = np.asarray(asset.cage.vertices, np.float64), points_of(asset)
-    rest = rest[surface_weights(x, asset.cage.tets, rest)[1] < OFF_THE_CAGE * np.ptp(x, axis=0).max()]
-    pixels = tracked(draw, shot, pose, rest, progress)
+    clip, masks, camera = shot.clip, shot.masks, shot.camera
+    x = np.asarray(asset.cage.vertices, np.float64)
+    pixels = tracked(clip, masks, progress)
+    made = draw(from_body(camera, pose))
+    ours, theirs = alike(made, clip.pictures[0].astype(np.float32) / 255, masks[0])
+    flow = flow_between(theirs, ours)  # from the clip to the drawn body
+    column, row = np.floor(pixels[0]).astype(int).T
+    column, row = np.floor(pixels[0] + flow[row, column]).astype(int).T
+    inside = (row >= 0) & (column >= 0) & (row < camera.height) & (column < camera.width)
+    inside[inside] = surface(made, camera)[row[inside], column[inside]]
+    column, row, pixels = column[inside], row[inside], pixels[:, inside]
     seen = np.isfinite(pixels).all(2)
-    often = seen.mean(0) >= FOLLOWED
-    if often.sum() < FEWEST_POINTS:
+    share = seen.sum() / max(seen.size, 1)
+    if share < FOLLOWED:
         raise BadInput(
-            f"{shot.clip.where}: its surface is not followed: {often.sum()} points of it are seen in"
-            f" {FOLLOWED:.0%} of the pictures; the thing leaves the picture, turns away, is too small or is blurred"
+            f"{clip.where}: its surface is followed in {share:.0%} of the pictures only: the thing leaves the picture,"
+            " turns away or is blurred"
         )
-    depth = shot.camera.projected(posed(pose, rest[often]))[2]
-    return rest[often], pixels[:, often], float(np.median(depth)) / np.sqrt(shot.camera.fx * shot.camera.fy)
+    W, away = surface_weights(x, asset.cage.tets, from_body(camera, pose).points_at(made[2], column, row))
+    near = away < OFF_THE_CAGE * np.ptp(x, axis=0).max()
+    return (W @ x)[near], pixels[:, near], float(np.median(made[2][row, column])) / np.sqrt(camera.fx * camera.fy)
 
 
 def resting(pose: np.ndarray, x: np.ndarray, camera: Camera | None, planes: np.ndarray) -> np.ndarray:
@@ -342,8 +345,6 @@ def resting(pose: np.ndarray, x: np.ndarray, camera: Camera | None, planes: np.n
     at = posed(pose, x)
     gaps = (at @ planes[:, :3].T).min(0) - planes[:, 3]
     k = int(np.abs(gaps).argmin())
-    if abs(gaps[k]) > APART * np.ptp(x, axis=0).max():
-        return pose
     n = planes[k, :3]
     hull = ConvexHull(at)
     sides, corners = hull.equations[:, :3], at[hull.simplices]

@@ -47,11 +47,6 @@ class Fitted:
         """The shift of the minimum where the model gives these residuals (N,) at `theta`, to first order, (P,)."""
         return -np.linalg.solve(self.curvature, gradient(self.jacobian, residuals, self.scale))
 
-    def left(self, residuals: np.ndarray) -> float:
-        """Root mean square of residuals (N,) by their weights: one datum that strays tells nothing of the others."""
-        w = weights_of(residuals, self.scale)
-        return float(np.sqrt((w * np.nan_to_num(residuals) ** 2).sum() / w.sum()))
-
     def half_widths(self, block: np.ndarray) -> np.ndarray:
         """Half widths (P,) of 90% intervals, by residuals that agree within blocks (N,) of data and not among them.
 

@@ -16,13 +16,10 @@ from core.point_location import TetLocator
 from core.rotation import best_fit_rotation
 
 START_FRAMES = 5  # through whose places a parabola gives the start: a place and a speed less noisy than those of one
-FLIGHT_FRAMES = 3  # through whose places a line does, where gravity alone bends their way
 FEWEST_FRAMES = 12
 OFF_THE_CAGE = 0.1  # of the body's extent: a marker further outside is on another body, or in other units
-APART = 0.15  # of a body's size: what is farther from all planes does not lie on one; a pose is off by less
 LARGEST_FILE = 1 << 30  # [bytes]
 OUTLIER_PIXELS = 2.0  # [px] at which a point, seen in a picture, counts half for a pose
-FLOW = 0.1  # [px] that optical flow is off at least, of neighbours alike
 NEIGHBOURS = 6  # markers, whose mean motion is taken from a marker's where its noise is estimated
 
 
@@ -107,10 +104,6 @@ class MarkerTracks:
         if self.camera is None:
             return np.tile(np.eye(3), (len(places), 1, 1))
         return self.metres * self.camera.part(some).slopes(places)
-
-    def gaps(self, x: np.ndarray) -> np.ndarray:
-        """Distances (P,) [m] of points (V, 3) from the planes: the least, negative behind one."""
-        return (x @ self.planes[:, :3].T).min(0) - self.planes[:, 3]
 
     def is_held(self, x: np.ndarray, start: np.ndarray | None, wider: float = 0.0) -> np.ndarray:
         """Mask (V,) of a cage's vertices that stand still: in boxes of each camera that has some, `wider` [px] to each
@@ -221,20 +214,15 @@ def noise_of(tracks: MarkerTracks) -> float:
     third = third[np.isfinite(third)]
     spread = 1.4826 * np.median(np.abs(third)) / np.sqrt(20) if third.size else 0.0  # 1 + 9 + 9 + 1
     extent = np.nanmax(np.ptp(tracks.rest, axis=0))
-    least = 1e-5 * extent if tracks.camera is None else FLOW * tracks.metres
-    return float(max(spread, least))
+    return float(max(spread, 1e-5 * extent))
 
 
-def start_of(tracks: MarkerTracks, fallen: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places [m] and velocities [m/s] of the markers at the first time, (M, D) each; and which are known, (M,).
-
-    fallen  (F, M, D) [m] part of their ways that is gravity's, of what flies
-    """
-    frames, ways = (START_FRAMES, tracks.points) if fallen is None else (FLIGHT_FRAMES, tracks.points - fallen)
+def start_of(tracks: MarkerTracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places [m] and velocities [m/s] of the markers at the first time, (M, D) each; and which are known, (M,)."""
     place, velocity = np.zeros_like(tracks.points[0]), np.zeros_like(tracks.points[0])
     known = np.zeros(len(tracks.rest), bool)
     for rows, group in tracks.by_camera():
-        t, points = tracks.times[rows[:frames]] - tracks.times[0], ways[rows[:frames]]
+        t, points = tracks.times[rows[:START_FRAMES]] - tracks.times[0], tracks.points[rows[:START_FRAMES]]
         seen = np.isfinite(points).all(2)
         known |= group & (seen.sum(0) >= 3)
         for m in np.flatnonzero(known & group):

@@ -13,7 +13,6 @@ from core.material import RAYLEIGH_FREQUENCY, Material
 from prepare.fit.least_squares import BLOCK_QUANTILE, BLOCKS, Fitted, Prior, loss_of, minimise
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
 from prepare.fit.marker_tracks import (
-    APART,
     MarkerTracks,
     marker_weights,
     noise_of,
@@ -43,11 +42,10 @@ FIRST_FRICTION = 0.25  # slides on most slopes: what sticks says nothing of how 
 UNITS = {"young": "Pa", "damping": "1/s", "friction": "", "yield_strain": ""}
 LONGEST_LAG = 1 / 1260  # [s] of inner friction in the simulator: its substep; other integrators take less
 FLOW_SPREAD = 0.07  # of a yield strain: by so much two integrators differ in how far they let a bar flow
-MODES, FREE_MODES = 2, 5  # whose amplitude and speed at the start are fitted, of a body that is held and of a free one
+MODES = 2  # whose amplitude and speed at the start are fitted
 NOT_VISIBLE = np.log(2.5)  # half width of an interval of a logarithm: the number could be 2.5 times as large, or small
 FRICTION_NOT_VISIBLE = 0.25
 STILL = 4.0  # deviations of the noise by which markers must move against each other
-RIGID = 1.0  # [px] by which tracks of a rigid thing move against each other: they are off by 0.9 (bench/NOTES.md)
 UNEXPLAINED = 0.5  # of the variance of markers against each other: with more left, what presses a thing is not known
 UNLIKE = 0.35  # of how markers move against the thing's own way: what is left unexplained of another thing's motion
 MOST_REFINED = 2_500  # vertices of a cage that is refined to see what its size costs
@@ -56,7 +54,6 @@ CHORD_STEPS, SMALL_CHORD = 3, 0.01  # steps with the coarse cage's derivatives, 
 BORDER, BORDERS = 3.0, 3  # [px] by which a box of what is held is made wider and narrower, so many times
 AS_LIKELY = 1.1  # of the least mean distance: what is left is the models', not noise, and bears no better test
 FAR_OFF = 1e3  # [m]
-READOUT = 0.01  # [s] from one edge of a picture to the other: unit of its parameters
 OFFSET = 0.5  # [px] by which a point of the surface is usually taken for another, where a clip begins
 
 
@@ -94,7 +91,7 @@ class MaterialFit:
     scan      Young's moduli [Pa] and mean distances [m], (n, 2)
     modelled  what is observed of the markers [m], (F, M, D);   by_factor  with E halved and doubled, by the factor
     played    the candidates of those three: material, positions and velocities at the start
-    error, moved  root mean squares [m]: what is left, by the fit's weights, and how far markers moved against the whole
+    error, moved  root mean squares [m]: what is left, and how far markers moved against the whole
     """
 
     material: Material
@@ -112,12 +109,8 @@ class MaterialFit:
 
 class MaterialProblem:
     """Markers on a cage, and how parameters become candidates: log E, log damping, friction if planes are there, else
-    log yield strain if there is no camera; corrections of the start (of the velocity of a free body, and of the
-    amplitude and speed of its slowest modes); and in pictures, whose pixels are not taken at once, how long it takes
-    from their left to right edge, and top to bottom.
-
-    What a body that falls on a plane does later than one time in which it topples over is left out: by then small
-    differences at the impact have grown.
+    log yield strain if there is no camera, and corrections of the start (of the velocity of a free body, and of the
+    amplitude and speed of its slowest modes).
 
     rubs, flows   whether friction, or a yield strain, is looked for
     """
@@ -133,12 +126,11 @@ class MaterialProblem:
                     f"{where}: the held box contains {len(held)} vertices of the cage; at least 3 are needed"
                 )
         self.cage = CageOfMarkers(x, tets, held, marker_weights(x, tets, tracks.rest, where))
-        self.size = float(np.ptp(x, axis=0).max())
-        self.shape = ElasticShape(x, tets, held, material.poisson, MODES if len(held) else FREE_MODES)
-        self._set_start()
-        self.tracks = tracks = self._before_toppling()
         self.noise = noise_of(tracks)
         self.check_motion()
+        self.size = float(np.ptp(x, axis=0).max())
+        self.shape = ElasticShape(x, tets, held, material.poisson, MODES)
+        self._set_start()
         self.rubs, log = len(tracks.planes) > 0, np.log
         self.flows = not self.rubs and tracks.camera is None  # films do not show it well (bench/NOTES.md)
         rows = {  # centre, spread, bounds and step of a parameter
@@ -150,8 +142,7 @@ class MaterialProblem:
         self.names = ["young", "damping", *["friction"] * self.rubs, *["yield_strain"] * self.flows]
         self.main = len(self.names)
         of_start = [(0.0, 20.0, -200.0, 200.0, 1.0)] * len(self.fields)
-        readout = [(0.0, 2.0, -5.0, 5.0, 0.1)] * (0 if tracks.camera is None else 2)
-        self.prior = Prior(*np.array([*(rows[name] for name in self.names), *of_start, *readout]).T)
+        self.prior = Prior(*np.array([*(rows[name] for name in self.names), *of_start]).T)
 
     def explained(self, error: float, moved: float) -> bool:
         """True if the error [m] is so small a part of a motion [m] that this is the material's doing."""
@@ -181,11 +172,6 @@ class MaterialProblem:
             )
         else:
             self.x0 = t.start
-        self.flies = free and (not len(t.planes) or np.abs(t.gaps(self.x0)).min() > APART * self.size)
-        if self.flies:
-            fall, at = (t.times - t.times[0])[:, None, None] ** 2 / 2 * t.gravity, c.weights @ self.x0
-            _, velocity, known = start_of(t, t.observed(at + fall) - t.observed(at))
-            W = c.weights[known]
         seen = t.slopes(W @ self.x0, known)
         speed = max(0.02 * float(np.sqrt((velocity[known] ** 2).mean())), 2e-3 * self.size / 0.1)
         fields = []
@@ -198,24 +184,11 @@ class MaterialProblem:
             amount = np.linalg.lstsq(A, velocity[known].ravel(), rcond=None)[0]
             v = np.tensordot(amount, np.stack(rigid), 1)
             fields += [(0 * r, speed * field) for field in rigid]
-            if self.flies:
-                fields += [(2e-3 * self.size * field, 0 * r) for field in rigid]
-        if not (self.flies and len(t.planes)):
-            v += self.shape.through(W, seen @ R, velocity[known] - np.einsum("mij,mj->mi", seen, W @ v)) @ R.T
+        v += self.shape.through(W, seen @ R, velocity[known] - np.einsum("mij,mj->mi", seen, W @ v)) @ R.T
         self.v0 = v
         for mode in self.shape.modes @ R.T:
             fields += [(2e-3 * self.size * mode, 0 * mode), (0 * mode, speed * mode)]
         self.fields = fields
-
-    def _before_toppling(self) -> MarkerTracks:
-        """The tracks; of a body that falls on a plane up to sqrt(size / g) after they meet, and NaN from then on."""
-        t = self.tracks
-        if not (self.flies and len(t.planes)):
-            return t
-        gaps = [t.gaps(self.x0 + s * self.v0 + s**2 / 2 * t.gravity) for s in t.times - t.times[0]]
-        meets = np.min(gaps, axis=1) < 0
-        late = t.times > t.times[meets.argmax() if meets.any() else -1] + np.sqrt(self.size / np.linalg.norm(t.gravity))
-        return replace(t, points=np.where(late[:, None, None], np.nan, t.points))
 
     def material(self, theta: np.ndarray) -> Material:
         """The material of parameters (P,)."""
@@ -238,8 +211,7 @@ class MaterialProblem:
     def candidate(self, theta: np.ndarray) -> tuple[Material, np.ndarray, np.ndarray]:
         """Material, positions and velocities at the start, (V, 3)."""
         x, v = self.x0.copy(), self.v0.copy()
-        amounts = theta[self.main : self.main + len(self.fields)]
-        for amount, (dx, dv) in zip(amounts, self.fields, strict=True):
+        for amount, (dx, dv) in zip(theta[self.main :], self.fields, strict=True):
             x += amount * dx
             v += amount * dv
         return self.material(theta), x, v
@@ -250,27 +222,22 @@ class MaterialProblem:
 
     def residuals(self, thetas: np.ndarray) -> np.ndarray:
         """Places less those seen, (C, N) in units of the noise; NaN where a marker is not seen."""
-        return self.compared(self.places(thetas), thetas)
+        return self.compared(self.places(thetas))
 
-    def compared(self, places: np.ndarray, thetas: np.ndarray) -> np.ndarray:
-        """Residuals (C, N) of places of the markers (C, F, M, 3), by parameters (C, P)."""
-        return self.off(places, thetas).reshape(len(places), -1) / self.noise
+    def compared(self, places: np.ndarray) -> np.ndarray:
+        """Residuals (C, N) of places of the markers (C, F, M, 3)."""
+        return self.off(places).reshape(len(places), -1) / self.noise
 
-    def off(self, places: np.ndarray, thetas: np.ndarray) -> np.ndarray:
-        """Residuals (C, F, M, D) [m]: the observation of places (C, F, M, 3) [m], by parameters (C, P), less that of
-        the clip.
+    def off(self, places: np.ndarray) -> np.ndarray:
+        """Residuals (C, F, M, D) [m]: the observation of places (C, F, M, 3) [m] less that of the clip.
 
-        In pictures a marker is seen when its pixel is taken, and it is not known exactly which point of the surface it
-        is. With offsets of a spread p in noise s, r - m + m s / sqrt(s^2 + n p^2), of mean m over n pictures, has
-        independent entries again.
+        In pictures it is not known exactly which point of the surface a marker is. With offsets of a spread p in noise
+        s, r - m + m s / sqrt(s^2 + n p^2), of mean m over n pictures, has independent entries again.
         """
         t = self.tracks
         seen = np.nan_to_num(t.observed(places), nan=FAR_OFF)  # of what exploded: NaN would count as not seen
         off = seen - t.points
         if t.camera is not None:
-            sizes = np.array([(c.width, c.height) for c in t.camera.cameras])[t.camera.of]
-            delay = READOUT * np.einsum("fmd,cd->cfm", t.points / t.metres / sizes - 0.5, thetas[:, -2:])
-            off += delay[..., None] * np.gradient(seen, t.times, axis=1)
             n = np.maximum(t.seen.sum(0), 1)[:, None]
             mean = np.nansum(off, axis=1, keepdims=True) / n
             off -= mean * (1 - self.noise / np.sqrt(self.noise**2 + n * (OFFSET * t.metres) ** 2))
@@ -278,8 +245,8 @@ class MaterialProblem:
 
     def blocks(self) -> np.ndarray:
         """The stretch of time of each residual, (N,)."""
-        number = np.cumsum(self.tracks.seen.any(1))  # of a time, among those that count
-        return np.repeat((number - 1).clip(0) * BLOCKS // number[-1], np.prod(self.tracks.points.shape[1:]))
+        frames, *each = self.tracks.points.shape
+        return np.repeat(np.arange(frames) * BLOCKS // frames, np.prod(each))
 
 
 def inner_motion(tracks: MarkerTracks) -> float:
@@ -341,9 +308,8 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
 
     def scan() -> dict[str, np.ndarray]:
         start = problem.prior.centre.copy()
-        if problem.rubs:
+        if problem.rubs:  # what slides hides what it is made of: its way is fitted first, as the asset's material
             start[2] = FIRST_FRICTION
-        if problem.rubs and not problem.flies:  # what slides hides its stiffness: its way first, as of the asset
             start = minimise(problem.residuals, start, problem.prior, 1.0).theta
         progress("scan", 0.3)
         thetas = np.tile(start, (len(youngs), 1))
@@ -368,8 +334,7 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     played = [theta, theta - np.log(2) * np.eye(len(theta))[0], theta + np.log(2) * np.eye(len(theta))[0]]
     places = problem.places(np.stack(played))
     modelled, halved, doubled = tracks.observed(places)
-    unit = problem.noise * np.sqrt(tracks.points.shape[2])
-    error = unit * fitted.left(fitted.residuals)
+    error = float(np.sqrt(np.nanmean((problem.off(places)[0] ** 2).sum(2))))
     travel = float(np.sqrt(np.nanmean(((tracks.points - np.nanmean(tracks.points, 0)) ** 2).sum(2))))
     moved = max(problem.inner, 0.25 * travel)
     if not problem.explained(error, moved):
@@ -380,9 +345,8 @@ def fit_material(problem: MaterialProblem, progress: Progress, keep, *, mass_kno
     progress("interval", 0.2)
     limit = keep("cage", lambda: limit_of(problem, fitted, lambda done: progress("interval", 0.2 + 0.8 * done)))
     progress("interval", 1.0)
-    left = np.sqrt(max(error**2 - unit**2, 0.0))
-    explained = problem.explained(min(left, unit * float(limit["left"])), problem.inner)
-    numbers = numbers_of(problem, fitted, limit, mass_known, left, explained)
+    left = np.sqrt(max(error**2 - tracks.points.shape[2] * problem.noise**2, 0.0))
+    numbers = numbers_of(problem, fitted, limit, mass_known, left)
     seen = {n.name: n.played for n in numbers if n.seen and n.name in problem.names}
     own = problem.base.yield_strain
     if own is not None and problem.flows and "young" in seen and "yield_strain" not in seen:
@@ -428,8 +392,8 @@ def with_yield(problem: MaterialProblem, elastic: Fitted, progress: Callable[[fl
 
 
 def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float], None]) -> dict[str, np.ndarray]:
-    """The shift (P,) of the parameters to a cage so fine that its size does not matter, their spread (P,) to both
-    sides, as what is held is not known exactly, and what is then left of the residuals.
+    """The shift (P,) of the parameters to a cage so fine that its size does not matter, and their spread (P,) to both
+    sides, as what is held is not known exactly.
 
     The motion is fitted once more with the cage cut in eight, a large one as it is, by steps with the derivatives of
     the first fit, from the Young's modulus at which the slowest mode is as fast. Errors of linear tets fall with the
@@ -440,7 +404,7 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
     cage, tracks, theta = problem.cage, problem.tracks, fitted.theta
     large, boxed = len(cage.vertices) > MOST_REFINED, tracks.camera is not None and len(cage.held) > 0
     if large and not boxed:
-        return {"shift": 0 * theta, "spread": 0 * theta, "left": fitted.left(fitted.residuals)}
+        return {"shift": np.zeros_like(theta), "spread": np.zeros_like(theta)}
     as_it_is = cage.vertices, cage.tets, sp.identity(len(cage.vertices), format="csr")
     x, tets, W = as_it_is if large else subdivided(cage.vertices, cage.tets)
     fine = CageOfMarkers(x, tets, cage.held, marker_weights(x, tets, tracks.rest, problem.where))
@@ -452,20 +416,20 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
 
     def residuals(cage: CageOfMarkers, thetas: np.ndarray) -> np.ndarray:
         made = [(m, W @ a, W @ b) for m, a, b in map(problem.candidate, thetas)]
-        return problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0), thetas)
+        return problem.compared(np.moveaxis(problem.roll(cage, made), 1, 0))
 
-    def fitted_again(held: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, float, float]:
-        cage, theta, least, left = replace(fine, held=held), trials[0], np.inf, np.inf
+    def fitted_again(held: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, float]:
+        cage, theta, least = replace(fine, held=held), trials[0], np.inf
         for _ in range(CHORD_STEPS + 1):
             rows = residuals(cage, trials)
             losses = np.nanmean(np.abs(rows), axis=1)
             best = int(losses.argmin())
             if not losses[best] < (1 - SMALL_CHORD) * least:
                 break
-            theta, least, left = trials[best], float(losses[best]), fitted.left(rows[best])
+            theta, least = trials[best], float(losses[best])
             step = np.outer((1.0, 0.4), fitted.shift(rows[best]))
             trials = np.clip(theta + step, problem.prior.low, problem.prior.high)
-        return theta, least, left
+        return theta, least
 
     same = np.flatnonzero(np.asarray((W[:, cage.held] if len(cage.held) else W[:, :0]).sum(1)).ravel() > 0.999)
     held, begin = [same], 0
@@ -494,26 +458,18 @@ def limit_of(problem: MaterialProblem, fitted: Fitted, progress: Callable[[float
         if 0 <= beyond < len(held) and np.isfinite(stiff[beyond]):
             ends.append(found[k][0] + 0.5 * (stiff[k] - stiff[beyond]) * first)
     low, high = np.min(ends, 0), np.max(ends, 0)
-    shift = (low + high) / 2 - theta - (slowest - level) / 3 * first
-    return {"shift": shift, "spread": (high - low) / 2, "left": min(found[k][2] for k in kept)}
+    return {"shift": (low + high) / 2 - theta - (slowest - level) / 3 * first, "spread": (high - low) / 2}
 
 
 def numbers_of(
-    problem: MaterialProblem,
-    fitted: Fitted,
-    limit: dict[str, np.ndarray],
-    mass_known: bool,
-    left: float,
-    explained: bool,
+    problem: MaterialProblem, fitted: Fitted, limit: dict[str, np.ndarray], mass_known: bool, left: float
 ) -> tuple[Number, ...]:
     """The numbers with their intervals: by the residuals, half of what the cage's size changes, and what is held.
 
     No number is known better than to what would move markers by `left` [m], which noise does not explain. Where that is
-    much of their motion against each other, friction of a thing that deforms is not seen; nor stiffness and damping,
-    unless their motion is `explained` by a finer cage. A thing that falls rubs for the time of one impact, of which
-    integrators differ: its friction is not seen. One that stands on a plane or slides is deformed by that contact as
-    much as by its stiffness, which is not seen then. Solvers take less inner friction than a material has, down to
-    none: as much of the damping as this may be is in its interval.
+    much of their motion against each other, neither stiffness nor damping is seen, nor the friction of a thing that
+    deforms, as at impacts. Solvers take less inner friction than a material has, down to none: as much of the damping
+    as this may be is in its interval.
     """
     shift, spread = limit["shift"], limit["spread"]
     half = np.sqrt(fitted.half_widths(problem.blocks()) ** 2 + (0.5 * shift) ** 2 + spread**2)
@@ -522,21 +478,18 @@ def numbers_of(
     half[1] = np.hypot(half[1], slowest * lag)
     if problem.flows:
         half[2] = np.hypot(half[2], FLOW_SPREAD)
-    per_unit = problem.noise * np.sqrt((fitted.jacobian**2).sum(0) / problem.tracks.seen.sum())  # [m]
+    per_unit = problem.noise * np.sqrt(problem.tracks.points.shape[2] * (fitted.jacobian**2).mean(0))  # [m]
     half = np.minimum(np.hypot(half, left / np.maximum(per_unit, 1e-9)), 99.0)  # of which exp() is still finite
-    pixel = RIGID * problem.tracks.metres if problem.tracks.camera is not None else 0.0
-    rigid = problem.inner < max(STILL * problem.noise, pixel)
-    standing = problem.rubs and not problem.flies
-    rubbed = standing and (rigid or left**2 < UNEXPLAINED * problem.inner**2)
+    pressed = left**2 < UNEXPLAINED * problem.inner**2 or problem.inner < STILL * problem.noise
     found = []
     for k, name in enumerate(problem.names):
         middle = float(np.clip(fitted.theta[k] + shift[k], problem.prior.low[k], problem.prior.high[k]))
         ends = [middle, middle - half[k], middle + half[k], float(fitted.theta[k])]
         if name == "friction":
-            seen, ends[1] = bool(rubbed and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
+            seen, ends[1] = bool(pressed and half[k] < FRICTION_NOT_VISIBLE), max(ends[1], 0.0)
         else:
             within = ends[1] > problem.prior.low[k] and ends[2] < problem.prior.high[k]
-            seen = bool(explained and not standing and within and half[k] < NOT_VISIBLE)
+            seen = bool(problem.explained(left, problem.inner) and within and half[k] < NOT_VISIBLE)
             ends = np.exp(ends).tolist()
         found.append(Number(name, UNITS[name], *ends, seen))
     if not mass_known:  # gravity and what stands still do not show the mass: only E / rho is seen

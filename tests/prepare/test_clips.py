@@ -12,16 +12,7 @@ from core.errors import BadInput
 from display.drawn_body import DrawnBody
 from display.headless.video import Video
 from prepare.fit.clip_masks import Clip, backdrop_of, clip_masks, read_clip, read_clip_marks, straightened
-from prepare.fit.clip_tracks import (
-    ALIGNED_SIDE,
-    Shot,
-    attached,
-    clip_tracks,
-    found_pose,
-    points_of,
-    resting,
-    tracked,
-)
+from prepare.fit.clip_tracks import ALIGNED_SIDE, Shot, clip_tracks, found_pose, resting, tracked
 from prepare.fit.fit_report import mask_pictures
 from prepare.fit.marker_tracks import MarkerTracks, noise_of, posed, start_of, surface_weights
 from prepare.progress import no_progress
@@ -140,8 +131,6 @@ def test_a_body_is_laid_on_a_plane_and_moved_along_the_line_of_sight(block):
     assert abs(at[:, 1].min()) < 1e-9
     before, after = (np.stack(camera.projected(q.mean(0))[:2]) for q in (posed(lifted, x), at))
     assert np.abs(before - after).max() < 1e-6
-    leaning[1, 3] = 0.05
-    np.testing.assert_array_equal(resting(leaning, x, camera, plane), leaning)  # it falls
 
 
 def test_points_of_the_surface_are_followed(block, clip, masks, moving):
@@ -182,39 +171,39 @@ def test_a_second_camera_shows_the_depth_that_one_does_not(block, clip, moving, 
     assert 9 <= both.is_held(block.cage.vertices.astype(float), both.start).sum() < len(moving[0])
 
 
-def test_a_thing_that_flies_fast_and_turns_is_followed_from_picture_to_picture(block):
-    """It goes by 9 px and turns by 6 degrees from each picture to the next; a bar covers a part in one of them."""
-    x = block.cage.vertices.astype(float)
-    rest, ways, middle = points_of(block), [], x.mean(0)
-    camera = perspective(*PIXELS, 0.8, look_at(middle + [-0.06, 0.12, 0.5], middle))
+def test_a_marker_that_is_covered_for_a_moment_is_found_again_and_one_that_strays_is_not():
+    """A speckled picture slides by (4.1, 1.6) px; a bar covers a part of it in one of the pictures, and a patch that
+    moves otherwise lies on another part from the fifth on."""
+    rng = np.random.default_rng(0)
+    wide = cv2.GaussianBlur(rng.normal(size=(200, 240)).astype(np.float32), (0, 0), 2.0)
+    wide = np.repeat(((128 + 300 * wide).clip(0, 255).astype(np.uint8))[..., None], 3, 2)
+    pictures = []
     for k in range(12):
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_euler("yz", [4 * k, 4.5 * k], degrees=True).as_matrix()
-        pose[:3, 3] = middle - pose[:3, :3] @ middle + [0.03 * (k - 5.5), 0.06 - 0.004 * (k - 5.5) ** 2, 0]
-        ways.append(pose)
-    pictures = filmed(block, np.stack([posed(p, x) for p in ways]), camera)
-    clip = Clip(pictures, TIMES[:12], 0, "clip")
-    stroke = marks_of(camera, np.stack([posed(p, x) for p in ways]), (0,)).objects["block"]["frame_0000"]
-    masks = clip_masks(clip, {0: stroke})
-    pictures[5, :, 70:76], masks[5, :, 70:76] = 20, False
-    drawn = DrawnBody(block, *[max(*PIXELS, ALIGNED_SIDE)] * 2)
-    found = tracked(drawn.picture, Shot(clip, masks, camera, np.zeros((0, 4))), ways[0], rest)
-    drawn.destroy()
-    true = np.stack([np.stack(camera.projected(posed(p, rest))[:2], 1) for p in ways])
-    seen, off = np.isfinite(found).all(2), np.linalg.norm(found - true, axis=2)
-    covered = np.abs(true[5, :, 0] - 73) < 2
-    assert np.linalg.norm(np.diff(true, axis=0), axis=2).mean() > 9 and seen.sum(1).min() > 40
-    assert np.nanmedian(off) < 0.5 and np.nanpercentile(off, 95) < 1.6
-    assert covered.sum() > 3 and not seen[5, covered].any() and seen[6, covered].any()
+        shift = np.array([[1, 0, 4.1 * k - 60], [0, 1, 1.6 * k - 30.0]])
+        pictures.append(cv2.warpAffine(wide, shift, PIXELS, flags=cv2.INTER_CUBIC))
+        if k == 3:
+            pictures[k][:, 30:60] = 20
+        if k >= 5:
+            pictures[k][60:84, 90:114] = np.roll(pictures[k], -9 * (k - 4), 1)[60:84, 90:114]
+    clip = Clip(np.stack(pictures), TIMES[:12], 0, "clip")
+    inside = np.zeros((12, *PIXELS[::-1]), bool)
+    inside[:, 4:116, 4:156] = True
+    inside[3, :, 30:60] = False
+    found = tracked(clip, inside)
+    where, seen = found[0], np.isfinite(found).all(2)
+    covered = (where[:, 0] > 26) & (where[:, 0] < 38)
+    off = np.linalg.norm(found - where - np.arange(12)[:, None, None] * [4.1, 1.6], axis=2)
+    assert covered.sum() > 3 and not seen[3, covered].any() and seen[8, covered].mean() > 0.6
+    assert np.nanmedian(off[8, covered]) < 0.5
+    under = (np.abs(where + 5 * np.array([4.1, 1.6]) - [102, 72]) < 9).all(1)
+    assert under.sum() > 2 and np.nanmedian(off) < 0.1
+    assert np.nanpercentile(off[:, ~under], 95) < 1 and not (off[7, under] > 3).any()
 
 
-def test_a_thing_that_goes_elsewhere_than_its_mask_is_not_followed(block, clip, masks):
-    drawn, aside = DrawnBody(block, ALIGNED_SIDE, ALIGNED_SIDE), masks.copy()
-    aside[1:] = False
-    aside[1:, 50:54, 20:24] = True
-    with pytest.raises(BadInput, match="clip: its surface is not followed: "):
-        attached(drawn.picture, block, Shot(clip, aside, camera_of(), np.zeros((0, 4))), np.eye(4), lambda done: None)
-    drawn.destroy()
+def test_a_thing_without_a_corner_cannot_be_followed(masks):
+    plain = Clip(np.full((len(masks), *PIXELS[::-1], 3), 90, np.uint8), TIMES, 0, "clip")
+    with pytest.raises(BadInput, match="clip: nothing on the thing can be followed"):
+        tracked(plain, masks)
 
 
 def test_what_stands_still_behind_is_seen_between_the_pictures(clip, true_masks, moving):

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from scipy.spatial.transform import Rotation
 
 from core.camera import look_at, perspective
 from core.errors import BadInput
@@ -13,10 +12,10 @@ from core.material import Material
 from core.tetmesh import box_mesh
 from prepare.fit import material_fit
 from prepare.fit.fit_report import lines_of, page_of
-from prepare.fit.least_squares import Fitted, minimise
+from prepare.fit.least_squares import Fitted
 from prepare.fit.linear_elasticity import ElasticShape, subdivided
 from prepare.fit.marker_tracks import MarkerTracks, Rig, marker_weights
-from prepare.fit.material_fit import MaterialProblem, fit_material, numbers_of, scan_youngs
+from prepare.fit.material_fit import MaterialProblem, fit_material, scan_youngs
 from prepare.progress import no_progress
 from sim.rollouts import Candidate, Rollouts
 
@@ -260,42 +259,6 @@ def test_what_slides_shows_its_friction_but_not_its_stiffness(faster, bent):
     assert friction.low < 0.3 < friction.high and friction.high - friction.low < 0.05
 
 
-@pytest.mark.parametrize(("wrong", "above", "seen"), [(0.7, 0.0, True), (2.0, 0.0, False), (0.0, 0.1, False)])
-def test_friction_shows_in_pictures_of_what_slides_as_good_as_rigid_but_not_of_what_falls(wrong, above, seen):
-    """Tracks drift by some [px], as those of a rigid thing do; the thing begins that far above the plane [m]."""
-    rng, times = np.random.default_rng(0), np.arange(FRAMES) / 60
-    camera = perspective(480, 360, 0.9, look_at((0.3, 0.1, 1.6), (0.3, -0.3, 0.0)))
-    rest, metres, rig = rng.uniform(0, 1, (40, 3)) * SIZE, 1.7 / camera.fx, Rig((camera,), np.zeros(40, int))
-    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
-    x = x.astype(float)
-    planes = np.array([[0.6, 0.8, 0.0, -above]])
-    way = 0.5 * 9.81 * (0.6 - 0.8 * 0.3) * times[:, None, None] ** 2 * [0.8, -0.6, 0.0]
-    drift = wrong * np.sin(9 * times[:, None, None] + 6 * rng.uniform(size=(1, 40, 2)))
-    points = metres * (np.stack(camera.projected(rest + way)[:2], -1) + drift)
-    tracks = MarkerTracks(times, points, rest, None, np.inf, np.eye(4), planes, GRAVITY, rig, metres, x)
-    problem = MaterialProblem(tracks, x, tets, ASSET, sliding, "clip")
-    friction = fit_material(problem, no_progress, lambda name, make: make(), mass_known=True).numbers[2]
-    assert problem.flies == (above > 0) and friction.seen == seen
-    assert not seen or (friction.low < 0.3 < friction.high and abs(friction.value - 0.3) < 0.05)
-
-
-@pytest.mark.parametrize("above", [0.0, 0.1])
-def test_stiffness_shows_in_what_falls_but_not_in_what_stands_on_a_plane(above):
-    """However sharp the minimum is: stiffness and damping of what is pressed on a plane were off by factors."""
-    rest, (x, tets, _) = np.random.default_rng(0).uniform(0, 1, (12, 3)) * SIZE, box_mesh(SIZE, (8, 1, 1))
-    planes = np.array([[0.0, 1.0, 0.0, -above]])
-    points = np.tile(rest, (FRAMES, 1, 1)) + 2e-4 * np.random.default_rng(1).normal(size=(FRAMES, 12, 3))
-    tracks = MarkerTracks(np.arange(FRAMES) / 60, points, rest, None, np.inf, None, planes, GRAVITY)
-    problem = MaterialProblem(tracks, x, tets, ASSET, sliding, "clip")
-    n = len(problem.prior.centre)
-    jacobian = 1e3 * np.random.default_rng(2).normal(size=(problem.tracks.points.size, n))
-    residuals = np.random.default_rng(3).normal(size=len(jacobian))
-    sharp = Fitted(problem.prior.centre, residuals, 1.0, jacobian, jacobian.T @ jacobian, 1)
-    limit = {"shift": np.zeros(n), "spread": np.zeros(n)}
-    young = numbers_of(problem, sharp, limit, True, 1e-4, True)[0]
-    assert problem.flies == (above > 0) and young.seen == problem.flies
-
-
 def test_no_number_is_known_better_than_to_what_the_material_leaves_unexplained(monkeypatch):
     """The bar is also shaken at 5.3 Hz: at the ends of the interval it moves by at least as much as is left over."""
     monkeypatch.setattr(material_fit, "MOST_REFINED", 0)
@@ -376,78 +339,6 @@ def test_a_free_body_seen_by_one_camera_sets_off_as_it_was_thrown():
     middle = problem.v0.mean(0)
     np.testing.assert_allclose(middle[:2], thrown[:2], atol=0.1)
     assert abs(middle[2]) < 0.3 and np.abs(problem.v0 - middle).max() < 0.8
-
-
-def test_what_falls_sets_off_as_gravity_says_and_counts_until_it_would_topple():
-    """Thrown at a floor from 10 cm above it; what is seen later, of a thing that lies on the floor all, counts."""
-    camera = perspective(480, 360, 0.6, look_at((0.1, 0.1, 0.8), (0.12, 0.0, 0.0)))
-    rng, times, metres = np.random.default_rng(4), np.arange(FRAMES) / 60, 0.8 / camera.fx
-    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
-    rest, thrown = rng.uniform(0, 1, (40, 3)) * SIZE, np.array([0.3, -0.2, 0.0])
-    ways = rest + times[:, None, None] * thrown + times[:, None, None] ** 2 / 2 * GRAVITY
-    seen = metres * (np.stack(camera.projected(ways)[:2], -1) + 0.2 * rng.normal(size=(FRAMES, 40, 2)))
-    met = (np.sqrt(0.2**2 + 2 * 9.81 * 0.1) - 0.2) / 9.81
-    for below, last in ((0.1, met + np.sqrt(0.24 / 9.81)), (0.0, times[-1])):
-        planes, rig = np.array([[0.0, 1.0, 0.0, -below]]), Rig((camera,), np.zeros(40, int))
-        tracks = MarkerTracks(times, seen, rest, None, np.inf, np.eye(4), planes, GRAVITY, rig, metres, x.astype(float))
-        problem = MaterialProblem(tracks, x, tets, ASSET, roll, "clip")
-        assert abs(times[problem.tracks.seen.any(1)][-1] - last) < 2 / 60 and np.isfinite(tracks.points).all()
-        assert np.unique(problem.blocks()[problem.tracks.seen.repeat(2)]).size == 10
-        if below:
-            assert np.abs(problem.v0 - thrown).max() < 0.15
-
-
-def test_what_flies_may_begin_in_another_pose_than_was_found(monkeypatch):
-    """The pose was found 6 degrees and 8 mm off, as of a thing that was bent."""
-    camera = perspective(480, 360, 0.6, look_at((0.1, 0.1, 0.8), (0.12, 0.0, 0.0)))
-    rng, times, metres = np.random.default_rng(4), np.arange(30) / 60, 0.8 / camera.fx
-    x, tets, _ = box_mesh(SIZE, (8, 1, 1))
-    rest, rig, middle = rng.uniform(0, 1, (40, 3)) * SIZE, Rig((camera,), np.zeros(40, int)), SIZE / 2
-
-    def flying(cage, candidates):
-        fall = times[:, None, None] ** 2 / 2 * GRAVITY
-        return np.stack([cage.markers(q + times[:, None, None] * v + fall) for _, q, v in candidates], 1)
-
-    spin = np.cross([0.0, 0.5, 1.5], rest - middle) + [0.2, 1.5, 0.0]
-    ways = rest + times[:, None, None] * spin + times[:, None, None] ** 2 / 2 * GRAVITY
-    seen = metres * (np.stack(camera.projected(ways)[:2], -1) + 0.2 * rng.normal(size=(30, 40, 2)))
-    start = (x - middle) @ Rotation.from_rotvec([0.06, 0.06, 0.06]).as_matrix().T + middle + [0.008, 0.0, 0.0]
-    none = np.zeros((0, 4))
-    tracks = MarkerTracks(times, seen, rest, None, np.inf, np.eye(4), none, GRAVITY, rig, metres, start)
-    monkeypatch.setattr(MaterialProblem, "check_motion", lambda problem: None)  # it hardly deforms
-    problem = MaterialProblem(tracks, x, tets, ASSET, flying, "clip")
-    found = minimise(problem.residuals, problem.prior.centre, problem.prior, 1.0)
-    _, q, _ = problem.candidate(found.theta)
-    off = [metres * (np.stack(camera.projected(p)[:2], -1) - np.stack(camera.projected(x)[:2], -1)) for p in (start, q)]
-    before, after = (np.sqrt((o**2).sum(1).mean()) for o in off)
-    assert after < 0.5 * before
-
-
-def test_a_marker_that_strays_does_not_make_the_others_unexplained():
-    tracks = tracks_of(TRUE, (8, 1, 1))
-    astray = np.where((np.arange(12) == 5) & (tracks.times > 0.5)[:, None], 0.05, 0.0)
-    found = fitted(replace(tracks, points=tracks.points + astray[..., None]))
-    assert found.numbers[0].seen and found.error < 1e-3
-    np.testing.assert_allclose(found.numbers[0].played, TRUE.young, rtol=0.02)
-
-
-def test_rows_of_a_picture_that_are_taken_one_after_the_other_are_told_from_deformation():
-    """A film of which a picture takes 20 ms from its top to its bottom."""
-    camera, (x, tets, _) = (
-        perspective(480, 360, 0.6, look_at((0.05, 0.1, 0.5), (0.12, 0.0, 0.0))),
-        box_mesh(SIZE, (8, 1, 1)),
-    )
-    tracks, kept, rng = seen_by(camera, x), {}, np.random.default_rng(3)
-    problem = MaterialProblem(tracks, x, tets, ASSET, roll, "clip")
-    fine = roll(problem.cage, [(TRUE, x, 0 * x)], np.arange(16 * FRAMES) / 960)[:, 0]
-    u, v, _ = camera.projected(fine)
-    late = 16 * np.arange(FRAMES)[:, None] + np.round(0.02 * 960 * (v[::16] / 360 - 0.5)).astype(int)
-    late = late.clip(0, 16 * FRAMES - 1), np.arange(12)
-    rolled = np.stack([u[late], v[late]], -1) + 0.2 * rng.normal(size=(FRAMES, 12, 2))
-    problem = MaterialProblem(replace(tracks, points=tracks.metres * rolled), x, tets, ASSET, roll, "clip")
-    found = fit_material(problem, no_progress, lambda n, make: kept.setdefault(n, make()), mass_known=True)
-    np.testing.assert_allclose(kept["fit"]["theta"][-1] * material_fit.READOUT, 0.02, rtol=0.2)
-    np.testing.assert_allclose(found.numbers[0].played, TRUE.young, rtol=0.03)
 
 
 def test_the_scan_begins_with_what_hardly_bears_its_own_weight():

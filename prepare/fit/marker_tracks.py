@@ -21,6 +21,7 @@ OFF_THE_CAGE = 0.1  # of the body's extent: a marker further outside is on anoth
 LARGEST_FILE = 1 << 30  # [bytes]
 OUTLIER_PIXELS = 2.0  # [px] at which a point, seen in a picture, counts half for a pose
 NEIGHBOURS = 6  # markers, whose mean motion is taken from a marker's where its noise is estimated
+FINEST = 0.02  # [px] of noise at least: compressed pictures of what stands still differ by half of it
 
 
 @dataclass(frozen=True)
@@ -213,8 +214,8 @@ def noise_of(tracks: MarkerTracks) -> float:
     third = np.concatenate(parts)
     third = third[np.isfinite(third)]
     spread = 1.4826 * np.median(np.abs(third)) / np.sqrt(20) if third.size else 0.0  # 1 + 9 + 9 + 1
-    extent = np.nanmax(np.ptp(tracks.rest, axis=0))
-    return float(max(spread, 1e-5 * extent))
+    least = 1e-5 * np.nanmax(np.ptp(tracks.rest, axis=0))
+    return float(max(spread, least if tracks.camera is None else FINEST * tracks.metres))
 
 
 def start_of(tracks: MarkerTracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,9 +2,13 @@
 
     pip install -r bench/peers/requirements-gsplat.txt
     python -m bench.peers.gsplat_training CAPTURE... [--steps 30000] [--at 7000 30000] [--json OUT.json]
+        [--strategy default|absgrad|mcmc] [--cap N]
 
-Its default strategy with the values of its examples/simple_trainer.py: packed=False, fused Adam, learning rates
-1.6e-4 times the scene's scale (decaying to a hundredth), 5e-3, 5e-2, 1e-3, 2.5e-3, 2.5e-3 / 20, one more degree of the
+Its strategies: `default`; `absgrad`, the same with absolute gradients and the threshold of 8e-4 that it names for them;
+`mcmc` with at most `--cap` Gaussians, which start with a tenth of the size and an opacity of 0.5, and whose opacities
+and scales cost 0.01 each. In trainings of other lengths than 30,000 steps the last Gaussians are added earlier or later
+in proportion. The values are those of its examples/simple_trainer.py: packed=False, fused Adam, learning rates 1.6e-4
+times the scene's scale (decaying to a hundredth), 5e-3, 5e-2, 1e-3, 2.5e-3, 2.5e-3 / 20, one more degree of the
 harmonics each 1000 steps, 0.8 L1 + 0.2 (1 - SSIM) with SSIM of the pixels whose window lies inside of the image. Pixels
 that do not count are left out as ours does it: the photograph is taken for what is drawn there.
 
@@ -15,6 +19,7 @@ never true.
 """
 
 import argparse
+import math
 import sys
 import time
 from pathlib import Path
@@ -22,7 +27,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
-from gsplat import DefaultStrategy, rasterization
+from gsplat import DefaultStrategy, MCMCStrategy, rasterization
 
 from assets.file_access import write_json
 from assets.gaussians import Gaussians
@@ -31,9 +36,13 @@ from core.errors import BadInput
 from prepare.train.seeds import first_gaussians
 
 DEGREE, DEGREE_INTERVAL = 3, 1000
+STEPS = 30_000  # of which its strategies know
 RATES = {"means": 1.6e-4, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
 RADIUS, SIGMA = 5, 1.5  # [px] of SSIM's window
 C1, C2 = 0.01**2, 0.03**2
+STRATEGIES = ("default", "absgrad", "mcmc")
+GROW_ABSGRAD = 8e-4
+MCMC_SHRINK, MCMC_OPACITY, MCMC_COST = 0.1, 0.5, 0.01
 
 
 class Similarity(torch.autograd.Function):
@@ -110,8 +119,11 @@ class Target:
 class Training:
     """gsplat's training of the first Gaussians `start` to `targets`."""
 
-    def __init__(self, targets, start: Gaussians, scale: float, steps: int, *, seed: int, device):
+    def __init__(
+        self, targets, start: Gaussians, scale: float, steps: int, *, strategy: str, cap: int, seed: int, device
+    ):
         self.targets, self.device = targets, device
+        self.mcmc, self.absgrad = strategy == "mcmc", strategy == "absgrad"
         self.rng, self.queue, self.done = np.random.default_rng(seed), [], 0
         torch.manual_seed(seed)
         values = {"means": start.means, "scales": start.log_scales, "quats": start.quats}
@@ -130,9 +142,18 @@ class Training:
             for name, rate in RATES.items()
         }
         self.decay = torch.optim.lr_scheduler.ExponentialLR(self.optimizers["means"], gamma=0.01 ** (1.0 / steps))
-        self.strategy = DefaultStrategy()
+        if self.mcmc:
+            with torch.no_grad():
+                self.params["scales"] += math.log(MCMC_SHRINK)
+                self.params["opacities"].fill_(math.log(MCMC_OPACITY / (1 - MCMC_OPACITY)))
+            self.strategy = MCMCStrategy(cap_max=cap)
+            self.state = self.strategy.initialize_state()
+        else:
+            growth = {"absgrad": True, "grow_grad2d": GROW_ABSGRAD} if self.absgrad else {}
+            self.strategy = DefaultStrategy(**growth)
+            self.state = self.strategy.initialize_state(scene_scale=scale)
+        self.strategy.refine_stop_iter = self.strategy.refine_stop_iter * steps // STEPS
         self.strategy.check_sanity(self.params, self.optimizers)
-        self.state = self.strategy.initialize_state(scene_scale=scale)
 
     def draw(self, target: Target, degree: int):
         """The picture (1, H, W, 3) and gsplat's info."""
@@ -149,6 +170,7 @@ class Training:
             height=target.height,
             sh_degree=degree,
             packed=False,
+            absgrad=self.absgrad,
         )
         return drawn, info
 
@@ -163,11 +185,17 @@ class Training:
         step, target = self.done, self.next_target()
         drawn, info = self.draw(target, min(step // DEGREE_INTERVAL, DEGREE))
         about = {"params": self.params, "optimizers": self.optimizers, "state": self.state, "step": step, "info": info}
-        self.strategy.step_pre_backward(**about)
-        target.loss(drawn).backward()
+        loss = target.loss(drawn)
+        if self.mcmc:
+            costs = torch.sigmoid(self.params["opacities"]).mean() + torch.exp(self.params["scales"]).mean()
+            (loss + MCMC_COST * costs).backward()
+        else:
+            self.strategy.step_pre_backward(**about)
+            loss.backward()
         self.optimize()
         self.decay.step()
-        self.strategy.step_post_backward(**about, packed=False)
+        after = {"lr": self.decay.get_last_lr()[0]} if self.mcmc else {"packed": False}
+        self.strategy.step_post_backward(**about, **after)
         self.done += 1
 
     def optimize(self) -> None:
@@ -193,7 +221,8 @@ def train(path: Path, args, device) -> list[dict]:
     capture, learned, kept = read_training_capture(path, args.reduce, args.test_every)
     start = first_gaussians(capture, learned, degree=DEGREE, cap=args.cap, seed=args.seed)
     targets, tests = [Target(p, device) for p in learned], [Target(p, device) for p in kept]
-    training = Training(targets, start, capture.extent, args.steps, seed=args.seed, device=device)
+    about = {"strategy": args.strategy, "cap": args.cap, "seed": args.seed, "device": device}
+    training = Training(targets, start, capture.extent, args.steps, **about)
     rows, seconds = [], 0.0
     while training.done < args.steps:
         begin = training.now()
@@ -205,7 +234,8 @@ def train(path: Path, args, device) -> list[dict]:
         seconds += training.now() - begin
         qualities = training.qualities(tests)
         psnr, ssim = np.mean(qualities, axis=0)
-        row = {"bench": "train", "program": "gsplat 1.5.3", "capture": path.name, "step": training.done}
+        row = {"bench": "train", "program": f"gsplat 1.5.3, {args.strategy}", "capture": path.name}
+        row["step"] = training.done
         row |= {"psnr": psnr, "ssim": ssim, "gaussians": len(training.params["means"]), "seconds": seconds}
         row["psnr_of_each"] = [round(quality[0], 2) for quality in qualities]
         row |= {"steps_per_second": training.done / seconds}
@@ -221,11 +251,12 @@ def main() -> int:
     """Train on each capture, print rows, write --json; exit status 2 for bad input."""
     p = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     p.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE")
-    p.add_argument("--steps", type=int, default=30_000)
-    p.add_argument("--at", type=int, nargs="+", default=[7000, 30_000], help="steps after which it is tested")
+    p.add_argument("--steps", type=int, default=STEPS)
+    p.add_argument("--at", type=int, nargs="+", default=[7000, STEPS], help="steps after which it is tested")
     p.add_argument("--reduce", type=int, default=1)
     p.add_argument("--test-every", type=int, default=8)
-    p.add_argument("--cap", type=int, default=2_000_000, help="most points to start from")
+    p.add_argument("--cap", type=int, default=2_000_000, help="most points to start from; of mcmc most Gaussians")
+    p.add_argument("--strategy", choices=STRATEGIES, default=STRATEGIES[0])
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--json", type=Path)
     p.add_argument("--device", default="cuda")

@@ -29,7 +29,7 @@ SIM_TOP = {"contacts", "kinematic_targets", "recovery", "sleeping", "solver"}
 
 BUDGETS = {  # lines; a new capability may raise one on purpose, and says why
     "core": 2_920, "assets": 5_136, "scenes": 2_344, "sim": 11_050, "render": 3_867, "prepare": 15_543,
-    "display": 13_886, "commands": 4_705, "bench": 3_469, "installer": 147, "tests": 37_726,
+    "display": 13_886, "commands": 4_705, "bench": 3_500, "installer": 147, "tests": 37_726,
 }  # fmt: skip
 MOST_FILES = 314  # of the product
 
